@@ -73,7 +73,7 @@ def rivals() -> tuple[tuple[str, Rival], ...]:
         (FUZZY, network('linear rules (STS, 10 rules)', consequent='sts')),
         (LAW, network('the same network, one rule', n_rules=1, hidden=HIDDEN_ALONE)),
         (LAW, network('one linear rule', consequent='sts', n_rules=1)),
-        (PLAIN, plain['ridge regression']),
+        (PLAIN, plain['plain ridge regression']),
         (PLAIN, Rival('ridge on products of two', plain_regressor(FEATURES, _products))),
         (PLAIN, plain['MLP, 32 and 32 nodes']),
         (NOTHING, Rival('no compensation', no_compensation)),

@@ -37,6 +37,7 @@ from fuzzycnc_ros.ros.bring_up import (
     again,
     launched,
     stop_timeout,
+    unread_by,
 )
 from fuzzycnc_ros.ros.presence import TAKEOVER, TIME_SOURCES, GraphError, Presence
 from fuzzycnc_ros.ros.processes import REFUSED
@@ -174,7 +175,10 @@ def bring_up(context: LaunchContext) -> list:
         item.on_active = [started]
         late = TimerAction(period=ACTIVE_TIMEOUT, actions=[started])
         following = [*item.actions(), late]
-    return [*watches, *(action for item in first for action in item.actions()), *following]
+    folder = given['params_dir']
+    said = unread_by(items, Path(folder)) if folder else []
+    notes = [LogInfo(msg=f'params_dir: {text}') for text in said]
+    return [*notes, *watches, *(action for item in first for action in item.actions()), *following]
 
 
 class _Once(OpaqueFunction):

@@ -81,6 +81,29 @@ def domain() -> Iterator[int]:
         yield number
 
 
+@pytest.fixture
+def make_node(domain: int) -> Iterator[Any]:
+    """Make nodes of the machine `mill` in this process, with parameters as arguments."""
+    import rclpy
+    from rclpy.parameter import Parameter
+
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain)
+    made = []
+
+    def begin(name: str, **parameters: Any) -> Any:
+        given = [Parameter(key, value=value) for key, value in parameters.items()]
+        made.append(
+            rclpy.create_node(name, namespace='/mill', context=context, parameter_overrides=given)
+        )
+        return made[-1]
+
+    yield begin
+    for node in made:
+        node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
 @pytest.hookimpl(hookwrapper=True)
 def pytest_collection() -> Iterator[None]:
     """Spare the collector of garbage what lives to the end: all modules and tests.

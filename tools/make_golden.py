@@ -23,6 +23,8 @@ GOLDEN = {
     'mill_lost_sensors': (('{0}:dead:1200', '{1}:open:1800', '{2}:stuck:600'), HOUR),
 }
 """Sensor faults of each run, by number of the chosen sensor, and how long it lasts [s]."""
+EXAMPLE = 'mill_warm_up'
+"""The one that `examples/` holds too: a link would dangle in a copy of that folder."""
 
 
 def main() -> None:
@@ -43,6 +45,7 @@ def main() -> None:
             )
         size = sum(file.stat().st_size for file in path.iterdir())
         print(f'{path.relative_to(ROOT)}: {size / 1024:.0f} KiB')
+    shutil.copytree(ROOT / 'bags' / EXAMPLE, ROOT / 'examples' / EXAMPLE, dirs_exist_ok=True)
 
 
 if __name__ == '__main__':

@@ -233,11 +233,15 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
             for axis, offset in zip(self._axes, status.applied, strict=True)
         }
         code, reason = self._verdict(status, self._forbidden(status))
+        at_zero = self._input.released and reason == self._input.reason
+        if at_zero:
+            reason = ''
         owned = self._active or not np.any(np.abs(status.applied) > CLOSE)
         level = (Level.WARN if reason else Level.OK) if owned else Level.ERROR
+        text = 'at zero, as commanded last' if at_zero else reason or code.name.lower()
         return [
             Health(name, Level.OK, status.mode.name.lower()),
-            Health('compensation', level, reason or code.name.lower(), values),
+            Health('compensation', level, text, values),
         ]
 
     @property

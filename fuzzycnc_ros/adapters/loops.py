@@ -11,6 +11,11 @@ from typing import Any, TypeVar
 
 T = TypeVar('T')
 
+HELD_MAX = 2 << 20
+"""Most of an unfinished message that a connection holds, in bytes: twice the largest of OPC UA."""
+_HELD = ('receive_buffer', 'recv_buffer')
+"""Where protocols of asyncua and pymodbus hold it."""
+
 
 class ConnectionLoop(asyncio.SelectorEventLoop):
     """An event loop that ends its tasks, servers and connections when it is closed.
@@ -28,18 +33,20 @@ class ConnectionLoop(asyncio.SelectorEventLoop):
         self.set_exception_handler(lambda loop, context: None)
 
     def _make_socket_transport(
-        self, sock: socket.socket, *args: Any, **options: Any
+        self, sock: socket.socket, protocol: Any, *args: Any, **options: Any
     ) -> asyncio.Transport:
         _check_serving(sock, options.get('server'))
-        made: asyncio.Transport = super()._make_socket_transport(sock, *args, **options)  # type: ignore[misc]
+        _bound(protocol)
+        made: asyncio.Transport = super()._make_socket_transport(sock, protocol, *args, **options)  # type: ignore[misc]
         self._keep(sock)
         return made
 
     def _make_ssl_transport(
-        self, rawsock: socket.socket, *args: Any, **options: Any
+        self, rawsock: socket.socket, protocol: Any, *args: Any, **options: Any
     ) -> asyncio.Transport:
         _check_serving(rawsock, options.get('server'))
-        made: asyncio.Transport = super()._make_ssl_transport(rawsock, *args, **options)  # type: ignore[misc]
+        _bound(protocol)
+        made: asyncio.Transport = super()._make_ssl_transport(rawsock, protocol, *args, **options)  # type: ignore[misc]
         self._keep(rawsock)
         return made
 
@@ -75,6 +82,24 @@ class ConnectionLoop(asyncio.SelectorEventLoop):
         for _, connection in self._connections:
             connection.abort()
         await asyncio.sleep(0)  # a connection ends in the next turn of the loop
+
+
+def _bound(protocol: Any) -> None:
+    """End a connection whose protocol holds too much of what is no whole message yet.
+
+    asyncua and pymodbus gather what a peer announces, 4 GB if it says so, until somebody loses
+    patience; a peer on this computer sends hundreds of megabytes by then.
+    """
+    take = getattr(protocol, 'data_received', None)
+    if take is None:
+        return
+
+    def data_received(data: bytes) -> None:
+        take(data)
+        if any(len(getattr(protocol, name, None) or b'') > HELD_MAX for name in _HELD):
+            protocol.transport.abort()
+
+    protocol.data_received = data_received
 
 
 def _check_serving(sock: socket.socket, server: asyncio.Server | None) -> None:

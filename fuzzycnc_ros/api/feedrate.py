@@ -14,29 +14,45 @@ Examples
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+from fuzzycnc_ros.core.feedrate.gcode.writer import write_program
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.trajectory import Trajectory, limit_motion
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
+from fuzzycnc_ros.core.feedrate.path.reference_path import smooth_geometry
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
+from fuzzycnc_ros.core.feedrate.path.shapes import STILL_LENGTH
+from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantFeed, ConstantNormalAcceleration
 from fuzzycnc_ros.core.feedrate.schedule.program_schedule import schedule_program
 from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
 from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 
 __all__ = [
+    'ConstantFeed',
+    'ConstantNormalAcceleration',
     'MotionLimits',
     'NurbsCurve',
     'PathGeometry',
     'ProgramSettings',
+    'ToleranceFeed',
     'Trajectory',
     'read_program',
     'schedule',
     'schedule_program',
+    'write_program',
 ]
+
+LENGTH_MAX = 20.0
+"""Extent of a path that is likely [m]."""
+
+TOLERANCE_MAX = 2e-3
+"""Contour tolerance that is likely [m]."""
 
 
 def schedule(
@@ -76,6 +92,11 @@ def schedule(
     ValueError
         If the path, the tolerance or the constant cannot be used, or no velocity is limited.
 
+    Warns
+    -----
+    UserWarning
+        If points or tolerance look like millimetres.
+
     Examples
     --------
     >>> import numpy as np
@@ -91,6 +112,16 @@ def schedule(
     """
     geometry = _geometry(path, samples)
     node = geometry.node
+    extent = float(np.ptp(geometry.evaluate(node), axis=0).max())
+    for name, length, most in (
+        ('path', extent, LENGTH_MAX), ('tolerance', tolerance, TOLERANCE_MAX),
+    ):  # fmt: skip
+        if length > most:
+            warnings.warn(
+                f'{name}: expected metres, at most {most:g} m, but found {length:g} m; divide by '
+                '1000 if it is in millimetres',
+                stacklevel=2,
+            )
     if len(node) < samples:
         pieces = -(-samples // (len(node) - 1))
         geometry = geometry.split(np.full(len(node) - 1, pieces))
@@ -110,9 +141,13 @@ def _geometry(path: NurbsCurve | PathGeometry | ArrayLike, samples: int) -> Path
         return path
     if not isinstance(path, NurbsCurve):
         return PathGeometry.from_samples(path)
+    if not path.length > STILL_LENGTH:
+        raise ValueError('path: expected a curve with a length but found one and the same point')
     u = path.parameter(np.linspace(0.0, path.length, samples))
     first, second = path.derivative(u), path.derivative(u, 2)
     size = np.linalg.norm(first, axis=1, keepdims=True)
+    if size.min() <= 1e-6 * size.max():  # it stands still, or turns back: smooth between only
+        return smooth_geometry(path)
     along = first / size
     across = second - (second * along).sum(axis=1, keepdims=True) * along
     return PathGeometry.from_samples(path.point(u), first, across / size**2)

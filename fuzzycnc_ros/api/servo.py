@@ -16,24 +16,36 @@ Examples
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Any
 
-from fuzzycnc_ros.core.machine.machine_data import AxisData
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fuzzycnc_ros.core.identify.axis_data import identify_axis
+from fuzzycnc_ros.core.identify.axis_fit import AxisRecording
+from fuzzycnc_ros.core.machine.machine_data import AxisData, MachineData
 from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS, make_axis_controller
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 from fuzzycnc_ros.machine_file.reader import read_machine_file
+from fuzzycnc_ros.machine_file.writer import machine_text
 from fuzzycnc_ros.simulation.servo.axes import simulated_axis
-from fuzzycnc_ros.simulation.servo.positioning import position
+from fuzzycnc_ros.simulation.servo.axis_tuning import AxisTuning, axis_cases, tune_controller
+from fuzzycnc_ros.simulation.servo.positioning import DrivenAxis, position
 
 __all__ = [
     'AXIS_CONTROLLERS',
     'AxisData',
+    'DrivenAxis',
     'VariableUniverseController',
     'controller',
+    'identify',
     'position',
     'read_axis',
+    'save_axis',
     'simulated_axis',
+    'tune',
 ]
 
 
@@ -63,6 +75,93 @@ def read_axis(machine: str | os.PathLike[str], name: str) -> AxisData:
         known = ', '.join(axes) or 'none'
         raise ValueError(f'axis: expected one of {known}, as {machine} has them, but found {name}')
     return axes[name]
+
+
+def identify(
+    duty: ArrayLike, position: ArrayLike, period: float, *, force: float | None = None
+) -> AxisData:
+    """Return the data of an axis from a recording, like `fuzzycnc machine identify`.
+
+    Parameters
+    ----------
+    duty : array_like, shape (n,)
+        Share of the full drive in force from each sample on, -1 to 1 [-]; a positive one drives
+        to positive positions.
+    position : array_like, shape (n,)
+        Measured position [m].
+    period : float
+        Time between two samples [s].
+    force : float, optional
+        Force at full duty [N]; without it the mass is called 1 kg.
+
+    Raises
+    ------
+    ValueError
+        If there are too few samples, or the axis does not follow its duty.
+    """
+    recording = AxisRecording(np.asarray(duty, float), np.asarray(position, float), period)
+    _, _, data = identify_axis([recording], force=force)
+    return data
+
+
+def tune(axis: AxisData, *, seed: int = 0, generations: int = 8, population: int = 6) -> AxisData:
+    """Return an axis with the controller that suits it, like `fuzzycnc servo tune`.
+
+    All of `AXIS_CONTROLLERS` are tuned with equal effort on simulated moves, and judged on
+    others.  The default effort takes minutes.
+
+    Parameters
+    ----------
+    axis : AxisData
+        The axis; it must have a model.
+    seed : int
+        Seed of moves and search.
+    generations, population : int
+        Generations after the first population, and candidates per setting.
+
+    Raises
+    ------
+    ValueError
+        If the axis has no model.
+    """
+    found = [
+        tune_controller(axis, name, seed=seed, generations=generations, population=population)
+        for name in AXIS_CONTROLLERS
+    ]
+    return AxisTuning(tuple(found), axis_cases(axis, held_out=True, seed=seed)).tuned(axis)
+
+
+def save_axis(axis: AxisData, path: str | os.PathLike[str], name: str) -> None:
+    """Write an axis as a machine file, for `read_axis`, commands and nodes.
+
+    Parameters
+    ----------
+    axis : AxisData
+        The axis.
+    path : path
+        File to write.
+    name : str
+        Letter of the axis.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from fuzzycnc_ros import servo
+    >>> axis = servo.read_axis('lathe', 'X')
+    >>> with TemporaryDirectory() as folder:
+    ...     servo.save_axis(axis, Path(folder) / 'mine.yaml', 'X')
+    ...     again = servo.read_axis(Path(folder) / 'mine.yaml', 'X')
+    >>> again.controller == axis.controller
+    True
+    """
+    machine = MachineData(name=f'axis {name}', axes={name: axis})
+    Path(path).write_text(machine_text(machine), encoding='utf-8')
 
 
 def controller(axis: AxisData, name: str = '', **settings: Any) -> AxisController:

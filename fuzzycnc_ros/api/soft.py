@@ -6,7 +6,7 @@ Examples
 --------
 >>> from fuzzycnc_ros import soft
 >>> from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
->>> model = soft.train(*foam_samples(0), random_state=0)
+>>> model = soft.train(*foam_samples(0), method='ridge')
 >>> line = soft.Primitive((0.02, 0.06), (0.12, 0.06), depth=0.006, step=0.003)
 >>> found = soft.compensate([line], model, soft.SheetMaterial(0.02))
 >>> found.commanded.shape
@@ -16,37 +16,63 @@ Examples
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from fuzzycnc_ros.core.deformation import model as models
+from fuzzycnc_ros.core.arrays import check_matrix
 from fuzzycnc_ros.core.deformation.compensation import (
+    LEARNING_GAIN,
     CompensatedPath,
     CompensationConfig,
-    compensate_path,
 )
 from fuzzycnc_ros.core.deformation.model import DeformationModel
 from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
+from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets
+from fuzzycnc_ros.core.deformation.soft_model import (
+    SoftModel,
+    compensated,
+    read_soft_model,
+    write_soft_model,
+)
 from fuzzycnc_ros.core.deformation.stitch_path import Primitive, SheetMaterial, StitchPath
+from fuzzycnc_ros.studies.soft.foam_learning import learn_track
+from fuzzycnc_ros.studies.soft.foam_records import array_samples, recorded_run
+from fuzzycnc_ros.studies.soft.foam_training import AUTO, train_model
 
 __all__ = [
     'CompensationConfig',
     'DeformationModel',
     'Primitive',
     'SheetMaterial',
+    'StitchOffsets',
     'StitchPath',
     'TSFuzzyNetwork',
     'compensate',
+    'learn',
     'read_model',
+    'save_model',
     'train',
 ]
 
 
-def train(x: ArrayLike, s: ArrayLike, **options: Any) -> DeformationModel:
-    """Train the T-S fuzzy neural network on samples of stitched lines and arcs.
+def train(
+    x: ArrayLike,
+    s: ArrayLike,
+    groups: ArrayLike | None = None,
+    *,
+    method: str = AUTO,
+    **options: Any,
+) -> DeformationModel:
+    """Train a model of feed compensation on samples of stitched lines and arcs.
+
+    Like `fuzzycnc foam train`: no correction, ridge regression, a Gaussian process and the T-S
+    fuzzy neural network compete on samples that are held out; samples that contradict the others
+    are left out.  What is doubtful is a warning.
 
     Parameters
     ----------
@@ -55,48 +81,139 @@ def train(x: ArrayLike, s: ArrayLike, **options: Any) -> DeformationModel:
         thickness [mm].
     s : array_like, shape (n, 2)
         Compensations along X and Y [mm per 50 mm of feed].
+    groups : array_like, shape (n,), optional
+        Sheet of each sample: those of one sheet are held out together.
+    method : str
+        `auto`, or one of `none`, `ridge`, `gaussian_process` and `network`.
     **options
         Parameters of `TSFuzzyNetwork`, such as `random_state`.
 
     Raises
     ------
     ValueError
-        If there are too few samples, or a value is not finite.
+        If there are too few samples, a value is not finite, or lengths are not in millimetres.
     """
-    return TSFuzzyNetwork(**options).fit(x, s).model_
+    samples = array_samples(x, s, groups)
+    found = train_model(samples, options, method)
+    doubts = [line.removeprefix('note: ') for line in (*samples.lines, *found.notes)]
+    for text in doubts:
+        warnings.warn(text, stacklevel=2)
+    return found.model
 
 
-def read_model(path: str | os.PathLike[str]) -> DeformationModel:
-    """Return the model of a file that `fuzzycnc foam train` wrote.
+def learn(
+    commanded: ArrayLike,
+    stitched: ArrayLike,
+    material: SheetMaterial,
+    offset: ArrayLike | None = None,
+    *,
+    path_id: str = 'track',
+    gain: float = LEARNING_GAIN,
+) -> StitchOffsets:
+    """Learn the offsets of one track from recorded runs of it, like `fuzzycnc foam learn`.
+
+    Parameters
+    ----------
+    commanded : array_like, shape (n + 1, 2)
+        Commanded points, offsets included [m].
+    stitched : array_like, shape (n + 1, 2) or (runs, n + 1, 2)
+        Where the stitches of one run or of several lie [m].
+    material : SheetMaterial
+        The sheet.
+    offset : array_like, shape (n + 1, 2), optional
+        Offsets that the runs had [m]; none without it.
+    path_id : str
+        Name of the track, as in its pattern.
+    gain : float
+        Share of the deviation to be taken away [-].
+
+    Returns
+    -------
+    StitchOffsets
+        Offsets of the next run; those of the recorded ones where no deformation is beyond chance,
+        which a warning says.
+
+    Raises
+    ------
+    ValueError
+        If the points are not finite, not parallel, or do not lie as stitches do.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fuzzycnc_ros import soft
+    >>> from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
+    >>> points = np.column_stack([np.arange(0.02, 0.1, 0.003), np.full(27, 0.05)])
+    >>> stitched = FoamSheet(0.015).stitch(points, 0.006)
+    >>> offsets = soft.learn(points, stitched, soft.SheetMaterial(0.015), gain=1.0)
+    >>> bool(np.abs(points + offsets.offset - stitched).max() > 1e-3)
+    True
+    """
+    points = check_matrix(commanded, 'commanded')
+    runs = np.asarray(stitched, float)
+    runs = runs[np.newaxis] if runs.ndim == 2 else runs
+    before = np.zeros_like(points) if offset is None else check_matrix(offset, 'offset')
+    for name, shape in (('stitched', runs.shape[1:]), ('offset', before.shape)):
+        if shape != points.shape or points.shape[1] != 2:
+            raise ValueError(
+                f'{name}: expected points parallel to commanded, shape (n + 1, 2), but found '
+                f'{shape} beside {points.shape}'
+            )
+    if not np.isfinite(runs).all():
+        raise ValueError('stitched: expected finite points [m] but found some that are not')
+    recorded = [
+        recorded_run(
+            points, run, before, path_id=path_id, material=material, source=f'run {number}',
+            places=[f'point {place}' for place in range(len(points))],
+        )
+        for number, run in enumerate(runs)
+    ]  # fmt: skip
+    found = learn_track(recorded, None, gain)
+    for text in found.doubts():
+        warnings.warn(text, stacklevel=2)
+    return found.offsets
+
+
+def read_model(path: str | os.PathLike[str]) -> SoftModel:
+    """Return what a file of `save_model`, `fuzzycnc foam train` or `foam learn` holds.
 
     Raises
     ------
     OSError
         If the file cannot be read.
     ModelFileError
-        If it is no usable model.
+        If it holds no usable model and no offsets.
+    """
+    return read_soft_model(Path(path).read_text(encoding='utf-8'))
+
+
+def save_model(model: SoftModel, path: str | os.PathLike[str]) -> None:
+    """Write a model or learnt offsets as a file, for `foam compensate` and the node.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
 
     Examples
     --------
     >>> from pathlib import Path
     >>> from tempfile import TemporaryDirectory
     >>> from fuzzycnc_ros import soft
-    >>> from fuzzycnc_ros.core.deformation.model import write_model
     >>> from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
-    >>> model = soft.train(*foam_samples(0), random_state=0)
+    >>> model = soft.train(*foam_samples(0), method='ridge')
     >>> with TemporaryDirectory() as folder:
-    ...     path = Path(folder) / 'foam.json'
-    ...     _ = path.write_text(write_model(model))
-    ...     again = soft.read_model(path)
+    ...     soft.save_model(model, Path(folder) / 'foam.json')
+    ...     again = soft.read_model(Path(folder) / 'foam.json')
     >>> type(again).__name__
     'DeformationModel'
     """
-    return models.read_model(Path(path).read_text(encoding='utf-8'))
+    Path(path).write_text(write_soft_model(model), encoding='utf-8')
 
 
 def compensate(
     pattern: StitchPath | Iterable[Primitive],
-    model: DeformationModel,
+    model: SoftModel,
     material: SheetMaterial,
     config: CompensationConfig | None = None,
 ) -> CompensatedPath:
@@ -106,8 +223,9 @@ def compensate(
     ----------
     pattern : StitchPath or iterable of Primitive
         Nominal stitches, or the lines and arcs that they are on.
-    model : DeformationModel
-        Steps outside its domain are given no compensation, and flagged.
+    model : DeformationModel or StitchOffsets
+        Steps outside the domain of a model are given no compensation, and flagged.  Learnt
+        offsets are for the points that they were learnt on.
     material : SheetMaterial
         The sheet.
     config : CompensationConfig, optional
@@ -121,20 +239,19 @@ def compensate(
     Raises
     ------
     ValueError
-        If a nominal point lies off the sheet, or the foot would go through it.
+        If a nominal point lies off the sheet, the foot would go through it, or offsets are of
+        other points.
 
     Examples
     --------
     >>> import numpy as np
     >>> from fuzzycnc_ros import soft
     >>> from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
-    >>> model = soft.train(*foam_samples(0), random_state=0)
+    >>> model = soft.train(*foam_samples(0), method='ridge')
     >>> line = soft.Primitive((0.02, 0.06), (0.12, 0.06), depth=0.006, step=0.003)
     >>> found = soft.compensate([line], model, soft.SheetMaterial(0.02))
     >>> bool(np.abs(found.commanded - found.nominal).max() > 1e-4)
     True
     """
     path = pattern if isinstance(pattern, StitchPath) else StitchPath.of_primitives(pattern)
-    return compensate_path(
-        path, material, model.predict, config=config, gate=model, support=model.support
-    )
+    return compensated(path, material, model, config)

@@ -26,6 +26,7 @@ import numpy as np
 
 from fuzzycnc_ros.bags.runs import read_run as read_bag
 from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.remedies import options_as
 from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
 from fuzzycnc_ros.core.thermal.fit.comparison import HeldOut, judge, splits
 from fuzzycnc_ros.core.thermal.model import ThermalModel, load_model
@@ -44,6 +45,7 @@ __all__ = [
     'plot_run',
     'read_run',
     'residual',
+    'save_model',
     'to_dataframe',
     'train',
 ]
@@ -94,10 +96,36 @@ def read_run(path: str | os.PathLike[str], **options: Any) -> ThermalRun:
     from fuzzycnc_ros.bags.csv_import import import_csv
     from fuzzycnc_ros.bags.csv_mapping import CsvMapping
 
-    with TemporaryDirectory() as folder:
+    with TemporaryDirectory() as folder, options_as(_argument):
         bag = Path(folder) / 'run'
         import_csv(source, bag, CsvMapping(**options))
         return read_bag(bag, name=source.stem)
+
+
+def save_model(model: ThermalModel, path: str | os.PathLike[str]) -> None:
+    """Write a model as a file, as `fuzzycnc train` does, for nodes, commands and `load_model`.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    Path(path).write_text(model.to_json(), encoding='utf-8')
+
+
+_ARGUMENTS = {
+    'temperature': 'temperatures',
+    'displacement': 'displacements',
+    'speed': 'spindle_speed',
+    'speed-unit': 'spindle_speed_unit',
+    'no-header': 'header=False',
+    'zero': 'zero=True',
+}
+"""Options of `fuzzycnc import-csv` -> arguments that are called otherwise."""
+
+
+def _argument(option: str) -> str:
+    return _ARGUMENTS.get(option, option.replace('-', '_'))
 
 
 def to_dataframe(run: ThermalRun) -> DataFrame:

@@ -17,18 +17,23 @@ from fuzzycnc_ros.bags.csv_mapping import (
     TEMPERATURE_UNITS,
     CsvMapping,
 )
-from fuzzycnc_ros.bags.csv_table import ISO8601, TIME_UNITS, Table, Times, known_forms
+from fuzzycnc_ros.bags.csv_table import Table, Times
+from fuzzycnc_ros.bags.csv_time import ISO8601, TIME_UNITS, known_forms
 from fuzzycnc_ros.bags.errors import CsvError
 from fuzzycnc_ros.bags.metadata import LATCHED, STREAM
 from fuzzycnc_ros.bags.typestore import ROSBAGS
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.core.names import repeated_names
+from fuzzycnc_ros.core.thermal.no_reading import values_without_reading
 from fuzzycnc_ros.core.thermal.plausibility import (
     DISPLACEMENT_STEP,
     TEMPERATURE_STEP,
+    WARMING_MAX,
+    WARMING_MIN,
     Lone,
-    half_rise_time,
     lone_values,
+    odd_pace,
+    offset_channels,
 )
 from fuzzycnc_ros.core.thermal.run import (
     DISPLACEMENT_MAX,
@@ -36,7 +41,10 @@ from fuzzycnc_ros.core.thermal.run import (
     SAMPLES_MIN,
     TEMPERATURE_MAX,
     TEMPERATURE_MIN,
+    temperature_range,
 )
+from fuzzycnc_ros.core.thermal.sensor_limits import SensorLimits
+from fuzzycnc_ros.core.thermal.spacing import block_means, reference_rows, sample_interval
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.enums import MachineMode, Status
 from fuzzycnc_ros.runtime.records import (
@@ -47,9 +55,6 @@ from fuzzycnc_ros.runtime.records import (
     ThermalReference,
 )
 
-REFERENCE_INTERVAL = 60.0
-"""Faster readings are averaged to samples of this interval for the reference [s]."""
-
 DISPLACEMENT_MIN = 0.5e-6
 """A machine that warms by `WARM` moves by more than this on some channel [m]."""
 
@@ -59,15 +64,11 @@ WARM = 5.0
 GRID_MAX = 10_000_000
 """Most samples that resampling makes; a week at 10 Hz has 6 million."""
 
-GAP_MAX = 3.0
-"""Longest gap that resampling bridges, in intervals; further apart nothing was measured."""
-
-
 COLD_MIN, COLD_MAX = 5.0, 45.0
 """Temperatures between which a machine is started [degC]."""
 
-WARMING_MIN, WARMING_MAX = 180.0, 3.0 * 86400.0
-"""Times between which a machine gains half of its rise [s]."""
+EMPTY_SHARE = 0.1
+"""Share of samples without a reading from which an interval is doubted [-]."""
 
 LINES_MAX = 3
 """Single values of a file that are named."""
@@ -178,18 +179,19 @@ def import_csv(
         table.require([mapping.spindle_speed], '--speed')
     names = _names(table, mapping, sensors)
     channels = _names(table, mapping, [channel.column for channel in mapping.channels])
-    times = table.time(mapping.time, mapping.time_unit, mapping.time_format)
+    times = table.time(mapping.time, mapping.time_unit, mapping.time_format, mapping.time_zone)
     time, date = times.seconds, times.date
-    recording = _read(table, mapping, sensors, time)
+    recording, unread, unsure = _read(table, mapping, sensors, time)
     _check_temperatures(table, mapping, sensors, recording.temperature)
     if mapping.zero and mapping.channels:
         recording = _zeroed(recording)
     _check_displacements(table, mapping, recording)
-    doubts = _doubts(table, mapping, sensors, recording, clock=bool(times.form))
+    doubts = unsure + _doubts(table, mapping, sensors, recording, clock=bool(times.form))
     if mapping.resample is None:
         table.check_even(mapping.time, time)
     else:
         recording = _resampled(path, recording, mapping.resample)
+        doubts += _emptied_line(path, time, recording, mapping.resample)
     start = mapping.epoch if mapping.epoch is not None else (1.0 if date is None else date)
     if start < 0.0 or start + time[-1] >= 2**31:
         raise CsvError(
@@ -199,7 +201,10 @@ def import_csv(
     stamps = np.rint((start + recording.time) * 1e9).astype(np.int64)
     if date is not None:  # a date in ns has more digits than a float
         stamps = round(start * 1e6) * 1000 + np.rint(recording.time * 1e9).astype(np.int64)
-    _write(Path(out), mapping, recording, stamps, names, channels)
+    facts = {'imported_by': 'import-csv'}
+    if times.zone is not None:
+        facts['time_zone'] = times.zone.name
+    _write(Path(out), mapping, recording, stamps, names, channels, facts)
     return ImportReport(
         path=Path(out),
         samples=len(stamps),
@@ -208,7 +213,7 @@ def import_csv(
         sensors=tuple(names),
         channels=tuple(channels),
         missing=int(np.isnan(recording.temperature).sum()),
-        remarks=_remarks(table, mapping, times),
+        remarks=_remarks(table, mapping, times) + unread,
         doubts=doubts,
     )
 
@@ -223,6 +228,11 @@ def _remarks(table: Table, mapping: CsvMapping, times: Times) -> tuple[str, ...]
         others = [form for form in known_forms(table.cells(mapping.time)) if form != times.form]
         also = f', which could be {" or ".join(others)}: see --time-format' if others else ''
         remarks.append(f'times of {mapping.time!r} read as {times.form}{also}')
+    if times.zone is not None:
+        own = '' if times.zone.chosen else ', the zone of this computer; --time-zone names another'
+        remarks.append(
+            f'times of {mapping.time!r} that name no zone read as {times.zone.name}{own}'
+        )
     if times.midnights:
         lines = ', '.join(str(table.lines[row]) for row in times.midnights[:5])
         remarks.append(f'the clock passes midnight before line {lines}: a day was added')
@@ -241,11 +251,13 @@ def _doubts(
         if not clock:
             true = temperature.copy()
             true[[item.row for item in lone], [item.column for item in lone]] = np.nan
-            doubts += _time_line(mapping, recording.time, true)
+            doubts += _time_line(mapping, recording, true)
     columns = [channel.column for channel in mapping.channels]
     doubts += _lone_lines(table, sensors, lone, 1.0, 'degC')
     jumps = lone_values(recording.displacement, DISPLACEMENT_STEP)
     doubts += _lone_lines(table, columns, jumps, 1e6, 'um')
+    if not mapping.zero:
+        doubts += _offset_line(columns, recording)
     return tuple(f'{table.path}{doubt}' for doubt in doubts)
 
 
@@ -294,19 +306,25 @@ def _temperature_line(mapping: CsvMapping, temperature: NDArray[np.float64]) -> 
 
 
 def _time_line(
-    mapping: CsvMapping, time: NDArray[np.float64], temperature: NDArray[np.float64]
+    mapping: CsvMapping, recording: _Recording, temperature: NDArray[np.float64]
 ) -> list[str]:
     """Return whether another unit would make the machine warm up as fast as machines do."""
-    taken = half_rise_time(time, temperature)
-    if np.isnan(taken) or WARMING_MIN <= taken <= WARMING_MAX:
+    pace = odd_pace(recording.time, temperature, recording.displacement)
+    if pace is None:
         return []
     factor = TIME_UNITS[mapping.time_unit]
     for unit in ('s', 'min', 'ms', 'h', 'd'):
-        other = taken / factor * TIME_UNITS[unit]
+        other = pace.time / factor * TIME_UNITS[unit]
         if WARMING_MIN <= other <= WARMING_MAX:
+            sure = (
+                f'{pace.agreeing} of {pace.witnesses} sensors and probes agree'
+                if pace.witnesses > 1
+                else 'one sensor alone says so, which may be a fast one'
+            )
             return [
-                f': half of the warming takes {_duration(taken)}, which no machine does; if the '
-                f'times are in {unit}, it takes {_duration(other)}: import with --time-unit {unit}'
+                f': half of the warming takes {_duration(pace.time)}, which no machine does '
+                f'({sure}); if the times are in {unit}, it takes {_duration(other)}: import with '
+                f'--time-unit {unit}'
             ]
     return []
 
@@ -318,6 +336,21 @@ def _duration(seconds: float) -> str:
     return f'{seconds:.3g} s'
 
 
+def _offset_line(columns: Sequence[str], recording: _Recording) -> list[str]:
+    """Return which displacements do not begin at zero, though temperatures are meant so."""
+    found = offset_channels(recording.displacement, reference_rows(recording.time))
+    if not found:
+        return []
+    said = ', '.join(
+        f'{columns[column]!r} at {first * 1e6:.3g} um of a range of {span * 1e6:.3g} um'
+        for column, first, span in found
+    )
+    return [
+        f': displacements begin at {said}, while temperatures count from their first minutes; if '
+        'the machine was cold then, import with --zero'
+    ]
+
+
 def _lone_lines(
     table: Table, columns: Sequence[str], lone: Iterable[Lone], scale: float, unit: str
 ) -> list[str]:
@@ -325,8 +358,8 @@ def _lone_lines(
     found = sorted(lone)
     lines = [
         f', line {table.lines[item.row]}, column {columns[item.column]!r}: '
-        f'{item.value * scale:.4g} {unit} stands alone between {item.before * scale:.4g} and '
-        f'{item.behind * scale:.4g}; if nothing of the kind happened, empty the cell'
+        f'{item.value * scale:.4g} {unit} stands alone {item.neighbours(scale)}; if nothing of '
+        'the kind happened, empty the cell'
         for item in found[:LINES_MAX]
     ]
     if len(found) > LINES_MAX:
@@ -360,16 +393,33 @@ def _names(table: Table, mapping: CsvMapping, columns: list[str]) -> list[str]:
 
 def _read(
     table: Table, mapping: CsvMapping, sensors: list[str], time: NDArray[np.float64]
-) -> _Recording:
+) -> tuple[_Recording, tuple[str, ...], tuple[str, ...]]:
+    """Return the columns, what was taken for no reading in them, and what looks like it."""
     factor, offset = TEMPERATURE_UNITS[mapping.temperature_unit]
     speed = [mapping.spindle_speed] if mapping.spindle_speed is not None else []
-    return _Recording(
+    raw = _columns(table, sensors)
+    temperature = raw * factor + offset
+    unread, unsure = [], []
+    for item in values_without_reading(raw, temperature):
+        lines = [table.lines[row] for row in item.rows[:LINES_MAX]]
+        more = f' and {len(item.rows) - LINES_MAX} more' if len(item.rows) > LINES_MAX else ''
+        where = f'line {", ".join(map(str, lines))}{more}, column {sensors[item.column]!r}'
+        if item.clear:
+            temperature[item.rows, item.column] = np.nan
+            unread.append(f'{where}: {item.value:g} is {item.meaning}; taken as missing')
+        else:
+            unsure.append(
+                f'{table.path}, column {sensors[item.column]!r}: {item.value:g} throughout is '
+                f'{item.meaning}; see whether the sensor is connected, or leave it out'
+            )
+    recording = _Recording(
         time=time,
-        temperature=_columns(table, sensors) * factor + offset,
+        temperature=temperature,
         displacement=_columns(table, [channel.column for channel in mapping.channels])
         * np.array([channel.scale for channel in mapping.channels]),
         speed=_columns(table, speed) * SPEED_UNITS[mapping.spindle_speed_unit],
     )
+    return recording, tuple(unread), tuple(unsure)
 
 
 def _columns(table: Table, names: list[str]) -> NDArray[np.float64]:
@@ -390,7 +440,8 @@ def _check_temperatures(
     table: Table, mapping: CsvMapping, sensors: list[str], values: NDArray[np.float64]
 ) -> None:
     """Refuse temperatures that no machine has, and name the unit that would fit."""
-    outside = np.argwhere((values < TEMPERATURE_MIN) | (values > TEMPERATURE_MAX))
+    low, high = temperature_range(SensorLimits.of(mapping.sensor_limits), sensors)
+    outside = np.argwhere((values < low) | (values > high))
     if not len(outside):
         return
     row, column = (int(index) for index in outside[0])
@@ -406,9 +457,10 @@ def _check_temperatures(
         if fits
         else 'leave the sensor out, or empty the cell where it failed'
     )
+    remedy = f'a heated bed has limits of its own (--sensor-limits); {remedy}'
     raise CsvError(
-        f'{table.place(row, sensors[column])}: expected {TEMPERATURE_MIN:g} to '
-        f'{TEMPERATURE_MAX:g} degC but found {values[row, column]:.6g} degC; {remedy}'
+        f'{table.place(row, sensors[column])}: expected {low[column]:g} to {high[column]:g} degC '
+        f'but found {values[row, column]:.6g} degC; {remedy}'
     )
 
 
@@ -452,16 +504,8 @@ def _span(values: NDArray[np.float64]) -> float:
     return float((np.nanmax(held, axis=0) - np.nanmin(held, axis=0)).max())
 
 
-def _reference_rows(time: NDArray[np.float64]) -> int:
-    """Return how many first rows make the first three samples of at least one minute."""
-    interval = max(float(np.median(np.diff(time))), REFERENCE_INTERVAL)
-    # Half a row of slack, so that noise in the times does not add one.
-    slack = 0.5 * float(np.median(np.diff(time)))
-    return max(REFERENCE_SAMPLES, int(np.sum(time < REFERENCE_SAMPLES * interval - slack)))
-
-
 def _zeroed(recording: _Recording) -> _Recording:
-    first = recording.displacement[: _reference_rows(recording.time)]
+    first = recording.displacement[: reference_rows(recording.time)]
     count = np.isfinite(first).sum(axis=0)
     total = np.nansum(first, axis=0)
     zero = np.divide(total, count, out=np.zeros_like(total), where=count > 0)
@@ -469,46 +513,49 @@ def _zeroed(recording: _Recording) -> _Recording:
 
 
 def _resampled(path: Path, recording: _Recording, interval: float) -> _Recording:
-    """Return samples on an even grid, each the mean of the readings up to it.
-
-    Readings are first put on an even grid of about their own spacing, linearly, so that uneven
-    ones weigh as long as they lasted; nothing is invented in gaps.
-    """
-    step = float(np.median(np.diff(recording.time)))
-    block = max(1, round(interval / step))
+    """Return samples on an even grid, each the mean of the readings up to it."""
+    time = recording.time
+    block = max(1, round(interval / float(np.median(np.diff(time)))))
+    samples = time[-1] / interval
+    if samples > GRID_MAX:
+        raise CsvError(
+            f'{path}: expected a recording without long gaps but --resample {interval:g} would '
+            f'make {samples:.0f} samples of {len(time)} rows; import the parts one by one with '
+            '--rows'
+        )
+    block = max(1, min(block, int(GRID_MAX / max(samples, 1.0))))
     fine = interval / block
     # A tenth of a step of slack keeps a last reading that came a little early.
-    count = (int((recording.time[-1] + 0.1 * fine) / fine) + 1) // block
+    count = (int((time[-1] + 0.1 * fine) / fine) + 1) // block
     if count < SAMPLES_MIN:
         raise CsvError(
             f'{path}: expected at least {SAMPLES_MIN} samples but --resample {interval:g} leaves '
-            f'{count} of {recording.time[-1]:.6g} s'
+            f'{count} of {time[-1]:.6g} s'
         )
-    if count * block > GRID_MAX:
-        raise CsvError(
-            f'{path}: expected a recording without long gaps but --resample {interval:g} would '
-            f'make {count * block} samples of {len(recording.time)} rows; import the parts one '
-            'by one with --rows'
-        )
-    grid = np.arange(count * block, dtype=np.float64) * fine
-    after = np.clip(np.searchsorted(recording.time, grid - 1e-9 * step), 1, None)
-    after = np.minimum(after, len(recording.time) - 1)
-    gap = recording.time[after] - recording.time[after - 1] > GAP_MAX * max(fine, step)
-    on_reading = np.isclose(recording.time[after], grid, rtol=0.0, atol=1e-6 * step)
-
-    def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        if not values.shape[1]:
-            return np.empty((count, 0))
-        even = np.stack([np.interp(grid, recording.time, column) for column in values.T], axis=1)
-        even[gap & ~on_reading] = np.nan
-        return np.asarray(even.reshape(count, block, -1).mean(axis=1))
-
+    columns = (recording.temperature, recording.displacement, recording.speed)
+    temperature, displacement, speed = (
+        block_means(time, values, interval, block, count) for values in columns
+    )
     return _Recording(
-        time=grid[block - 1 :: block],
-        temperature=mean(recording.temperature),
-        displacement=mean(recording.displacement),
-        speed=mean(recording.speed),
-        readings=block,
+        time=fine * (block * np.arange(1, count + 1, dtype=np.float64) - 1.0),
+        temperature=temperature,
+        displacement=displacement,
+        speed=speed,
+        readings=max(1, round(len(time) / count)),
+    )
+
+
+def _emptied_line(
+    path: Path, time: NDArray[np.float64], samples: _Recording, interval: float
+) -> tuple[str, ...]:
+    """Return that the asked interval leaves samples without readings, which come more rarely."""
+    longer = sample_interval(time)
+    empty = int(np.isnan(samples.temperature).all(axis=1).sum())
+    if longer <= interval or empty < EMPTY_SHARE * len(samples.time):
+        return ()
+    return (
+        f'{path}: {empty} of {len(samples.time)} samples are without a reading, as readings come '
+        f'every {longer:.4g} s; import with --resample {longer:.4g}',
     )
 
 
@@ -519,11 +566,12 @@ def _write(
     stamps: NDArray[np.int64],
     sensors: list[str],
     channels: list[str],
+    facts: Mapping[str, str],
 ) -> None:
     machine = mapping.machine
     cold_since = int(stamps[0])
-    reference_rows = _reference_rows(recording.time)
-    with BagWriter(out, flush_interval=None, custom={'imported_by': 'import-csv'}) as writer:
+    first_rows = reference_rows(recording.time)
+    with BagWriter(out, flush_interval=None, custom=facts) as writer:
 
         def write(topic: str, record: Record) -> None:
             writer.write_message(f'/{machine}/{topic}', encode(record, ROSBAGS), record.stamp)
@@ -564,7 +612,7 @@ def _write(
                         includes_compensation=False,
                     ),
                 )
-            if k == reference_rows - 1:
+            if k == first_rows - 1:
                 write(
                     'thermal_reference',
                     ThermalReference(
@@ -574,8 +622,8 @@ def _write(
                         set_by='recording',
                         sensor=tuple(sensors),
                         # NaN for a sensor that lacks one of the first samples.
-                        temperature=recording.temperature[:reference_rows].mean(axis=0),
-                        samples=min(reference_rows, 2**16 - 1),
+                        temperature=recording.temperature[:first_rows].mean(axis=0),
+                        samples=min(first_rows, 2**16 - 1),
                     ),
                 )
 

@@ -9,7 +9,8 @@ from fnmatch import fnmatchcase
 from math import pi
 from pathlib import Path
 
-from fuzzycnc_ros.bags.csv_table import ISO8601, TIME_UNITS, Table, read_table, strptime_form
+from fuzzycnc_ros.bags.csv_table import Table, read_table
+from fuzzycnc_ros.bags.csv_time import ISO8601, TIME_UNITS, strptime_form, zone_of
 from fuzzycnc_ros.bags.errors import CsvError
 
 LENGTH_UNITS = {'um': 1e-6, 'mm': 1e-3, 'm': 1.0, 'nm': 1e-9}
@@ -95,6 +96,9 @@ class CsvMapping:
         in a usual form are recognised, whatever the unit.
     time_format : str, optional
         Form of dates or times of day, as `strptime` or a spreadsheet writes it.
+    time_zone : str, optional
+        Zone of dates that name none: a name of the IANA such as `Europe/Berlin`, or an offset
+        such as `+01:00`; that of this computer if absent.
     temperatures : sequence of str
         Temperature columns: names, patterns such as `t*`, or regular expressions after `re:`.
         Columns that have another meaning are never matched by a pattern.
@@ -106,6 +110,9 @@ class CsvMapping:
         Spindle-speed column.
     spindle_speed_unit : {'rpm', 'rad/s'}
         Its unit.
+    sensor_limits : sequence of str
+        Limits of sensors that are not those of a machine's metal, such as `bed:range_high:250`;
+        the names are those of the columns.
     rename : mapping
         Column name to the name of the sensor or channel in the bag.
     encoding : str
@@ -133,8 +140,10 @@ class CsvMapping:
     time: str = 'time'
     time_unit: str = 's'
     time_format: str | None = None
+    time_zone: str | None = None
     temperatures: Sequence[str] = ()
     temperature_unit: str = 'degC'
+    sensor_limits: Sequence[str] = ()
     displacements: Sequence[Channel | str] = ()
     spindle_speed: str | None = None
     spindle_speed_unit: str = 'rpm'
@@ -159,6 +168,7 @@ class CsvMapping:
                 object.__setattr__(self, 'time_format', strptime_form(self.time_format))
             except ValueError as error:
                 raise CsvError(f'time_format: {error}') from error
+        zone_of(self.time_zone)
         try:
             ''.encode(self.encoding)
         except LookupError as error:

@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading a CSV recording, whatever program wrote it; every complaint names file, line and column.
 
-From the bytes of a file to its text, from the text to header and rows, from the cells to numbers,
-dates and times of day.
+From the bytes of a file to its text, from the text to header and rows, from the cells to numbers.
 """
 
 import codecs
@@ -13,48 +12,31 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime, timezone
+from datetime import datetime
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.bags.csv_time import (
+    ISO8601,
+    TIME_UNITS,
+    ClockChangeError,
+    Zone,
+    has_date,
+    is_day,
+    known_forms,
+    past_midnight,
+    read_date,
+    seconds_of,
+    zone_of,
+)
 from fuzzycnc_ros.bags.errors import CsvError
 from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.core.thermal.run import JITTER_MAX, SAMPLES_MIN
-
-DAY = 86400.0
-"""Length of a day [s]."""
-
-TIME_UNITS = {'s': 1.0, 'ms': 1e-3, 'min': 60.0, 'h': 3600.0, 'd': DAY}
-
-ISO8601 = 'iso8601'
-_CLOCKS = ('%H:%M:%S', '%H:%M', '%I:%M:%S %p', '%I:%M %p')
-_DATES = ('%d.%m.%Y', '%d.%m.%y', '%Y/%m/%d', '%Y.%m.%d')
-_EITHER = ('%d/%m/%Y', '%m/%d/%Y', '%d/%m/%y', '%m/%d/%y', '%d-%m-%Y', '%m-%d-%Y')
-KNOWN_FORMATS = (
-    ISO8601,
-    *(f'{date} {clock}' for date in (*_DATES, *_EITHER) for clock in _CLOCKS[:2]),
-    # Who writes AM and PM writes the month first.
-    *(f'{date} {clock}' for date in (*_DATES, *_EITHER[::-1]) for clock in _CLOCKS[2:]),
-    *_CLOCKS,
-)
-"""Forms that are recognised, as `strptime` writes them."""
-
-_FRACTION = re.compile(r'(?<=:\d\d)[.,](\d+)')
-_DATE_PART = re.compile(r'%[dmyYjbBDFxcUWGuw]')
-
-
-_TOKEN = re.compile(r'yyyy|jjjj|yy|jj|dd|tt|hh?|mm|ss|am/pm', re.IGNORECASE)
-_DIRECTIVES = {
-    **dict.fromkeys(('yyyy', 'jjjj'), '%Y'),
-    **dict.fromkeys(('yy', 'jj'), '%y'),
-    **dict.fromkeys(('dd', 'tt'), '%d'),
-    'ss': '%S',
-    'am/pm': '%p',
-}
+from fuzzycnc_ros.core.thermal.spacing import sample_interval
 
 _ENCODINGS = ('cp1252', 'latin-1', 'utf-16')
 """What programs write that do not write UTF-8, Excel on Windows first."""
@@ -75,6 +57,8 @@ _SAMPLE = 20
 _EMPTY = ('', 'nan', 'na', 'n/a', 'null', 'none', '-')  # how programs write a missing number
 _FEW = 0.1  # share of repeated times from which a clock is too coarse, and no row is doubled
 
+_DIGITS = re.compile(r'(?:19|20)\d{12}')
+_DIGITS_FORM = '%Y%m%d%H%M%S'
 _COMMA = re.compile(r'[+-]?\d+,\d+')
 _THOUSANDS = re.compile(r'[+-]?\d{1,3}([.,])\d{3}(\1\d{3})*([.,]\d+)?')
 _WITH_UNIT = re.compile(r'[+-]?\d+([.,]\d+)?\s*[^\d\s.,:+-]+')
@@ -94,12 +78,15 @@ class Times:
         Form of the column, as `strptime` writes it; empty for numbers.
     midnights : list of int
         Rows before which a day was added.
+    zone : Zone or None
+        Zone of dates that name none; None where there are no such dates.
     """
 
     seconds: NDArray[np.float64]
     date: float | None
     form: str
     midnights: list[int]
+    zone: Zone | None
 
 
 @dataclass(frozen=True)
@@ -182,7 +169,7 @@ class Table:
         return [row[place] for row in self.rows]
 
     def _number(self, row: int, name: str, cell: str) -> float:
-        if cell.strip().lower() in _EMPTY:
+        if _is_empty(cell):
             return np.nan
         try:
             return float(cell)
@@ -210,7 +197,7 @@ class Table:
         if row == 0 and self.first == 0 and _is_of_units(self.rows[0]):
             last = self.first + len(self.rows) - 1
             return f'; leave out a line of units below the header with --rows 1:{last}'
-        if _is_day(found):
+        if is_day(found):
             return '; it is a date without a time of day: name the column of these with --time'
         if known_forms([found]):
             return '; it looks like a time: name the time column with --time'
@@ -218,7 +205,9 @@ class Table:
             return '; remove the unit from the cells'
         return ''
 
-    def time(self, name: str, unit: str, form: str | None = None) -> Times:
+    def time(
+        self, name: str, unit: str, form: str | None = None, zone: str | None = None
+    ) -> Times:
         """Return the time column.
 
         Parameters
@@ -229,6 +218,8 @@ class Table:
             Unit of numbers, or `iso8601`.
         form : str, optional
             Form of dates or times of day; a usual one is recognised.
+        zone : str, optional
+            Zone of dates that name none; that of this computer if absent.
 
         Raises
         ------
@@ -238,37 +229,50 @@ class Table:
         cells = self.cells(name)
         form = form or (ISO8601 if unit == ISO8601 else self._form(name, cells))
         midnights: list[int] = []
-        if form:
-            lost = [row for row, cell in enumerate(cells) if cell.strip().lower() in _EMPTY]
-            misfit = None if lost else _first_misfit(cells, form)
-            if misfit is not None:
-                looks = (
-                    'date such as 2024-05-01T08:00:00Z' if form == ISO8601 else f'time as {form}'
-                )
-                raise CsvError(
-                    f'{self.place(misfit, name)}: expected a {looks} but found '
-                    f'{cells[misfit]!r}; another form can be named with --time-format'
-                )
-            seconds = np.array([np.nan if lost else read_time(cell, form) for cell in cells])
-        else:
+        used: Zone | None = None
+        if not form:
             seconds = self.column(name) * TIME_UNITS[unit]
             lost = np.flatnonzero(~np.isfinite(seconds)).tolist()
+        else:
+            lost = [row for row, cell in enumerate(cells) if _is_empty(cell)]
         if lost:
             raise CsvError(
                 f'{self.place(lost[0], name)}: expected a time but found none'
                 + self._hint(lost[0], '')
             )
-        if form and not _has_date(form):
-            seconds, midnights = _past_midnight(seconds)
+        if form:
+            dates = _read_dates(cells, form)
+            if len(dates) < len(cells):
+                looks = (
+                    'date such as 2024-05-01T08:00:00Z' if form == ISO8601 else f'time as {form}'
+                )
+                raise CsvError(
+                    f'{self.place(len(dates), name)}: expected a {looks} but found '
+                    f'{cells[len(dates)]!r}; another form can be named with --time-format'
+                )
+            if not has_date(form):
+                seconds, midnights = past_midnight(_clock_seconds(dates))
+            else:
+                known = zone_of(zone)
+                used = known if any(date.tzinfo is None for date in dates) else None
+                try:
+                    seconds = seconds_of(dates, known)
+                except ClockChangeError as error:
+                    raise CsvError(f'{self.place(error.row, name)}: {error}') from error
         self._check_increasing(name, seconds)
-        date = float(seconds[0]) if form and _has_date(form) else None
-        return Times(seconds - seconds[0], date, form, midnights)
+        date = float(seconds[0]) if form and has_date(form) else None
+        return Times(seconds - seconds[0], date, form, midnights, used)
 
     def _form(self, name: str, cells: list[str]) -> str:
         """Return the form of dates or times of day; empty for numbers."""
-        first = next((cell for cell in cells if cell.strip().lower() not in _EMPTY), '')
-        if not first or _is_number(first):
+        known = [cell for cell in cells if not _is_empty(cell)]
+        if not known:
             return ''
+        first = known[0]
+        if _is_number(first):
+            # Fourteen digits that all are dates are no seconds.
+            dated = _DIGITS.fullmatch(first.strip()) and len(_read_dates(known, _DIGITS_FORM))
+            return _DIGITS_FORM if dated == len(known) else ''
         forms = known_forms([first])
         if not forms:
             hint = self._hint(0, first.strip())
@@ -276,20 +280,19 @@ class Table:
                 f'{self.place(cells.index(first), name)}: expected a time but found {first!r}'
                 + (hint or '; name its form with --time-format, such as %d.%m.%Y %H:%M:%S')
             )
-        known = [cell for cell in cells if cell.strip().lower() not in _EMPTY]
         # Of forms that do not fit, the one that fits longest says which cell is odd.
-        ends = [_first_misfit(known, form) for form in forms]
-        whole = [form for form, end in zip(forms, ends, strict=True) if end is None]
+        dates = [_read_dates(known, form) for form in forms]
+        whole = [place for place, found in enumerate(dates) if len(found) == len(known)]
         if not whole:
-            return max(zip(forms, ends, strict=True), key=lambda item: item[1] or 0)[0]
-        starts = [np.array([read_time(cell, form) for cell in known]) for form in whole]
+            return max(zip(forms, dates, strict=True), key=lambda item: len(item[1]))[0]
+        starts = [_clock_seconds(dates[place]) for place in whole]
         if any(np.ptp(start - starts[0]) > 0.0 for start in starts[1:]):
             raise CsvError(
                 f'{self.place(cells.index(first), name)}: expected a date but {first!r} can be '
                 f'read in more than one way; say how: --time-format '
-                f'{" or ".join(repr(form) for form in whole)}'
+                f'{" or ".join(repr(forms[place]) for place in whole)}'
             )
-        return whole[0]
+        return forms[whole[0]]
 
     def _check_increasing(self, name: str, seconds: NDArray[np.float64]) -> None:
         """Refuse times that stand still or go back."""
@@ -331,7 +334,8 @@ class Table:
         if abs(steps[worst] - median) > JITTER_MAX * median:
             raise CsvError(
                 f'{self.place(worst + 1, name)}: expected even steps of {median:.6g} s but found '
-                f'a step of {steps[worst]:.6g} s; import with --resample {median:.4g}'
+                f'a step of {steps[worst]:.6g} s; import with '
+                f'--resample {sample_interval(time):.4g}'
             )
 
     def place(self, row: int, name: str) -> str:
@@ -520,13 +524,35 @@ def _check_header(path: Path, header: list[str], line: int) -> None:
 
 def _is_row(cells: Sequence[str]) -> bool:
     """Return whether cells hold values, some of them missing, and no names."""
-    return all(_is_value(cell) or cell.strip().lower() in _EMPTY for cell in cells)
+    return all(_is_value(cell) or _is_empty(cell) for cell in cells)
 
 
 def _is_of_units(cells: Sequence[str]) -> bool:
     """Return whether a row holds no value, but says something."""
-    filled = [cell for cell in cells if cell.strip().lower() not in _EMPTY]
+    filled = [cell for cell in cells if not _is_empty(cell)]
     return bool(filled) and not any(map(_is_value, filled))
+
+
+def _is_empty(cell: str) -> bool:
+    """Return whether a cell says that nothing is there."""
+    return cell.strip().lower() in _EMPTY
+
+
+def _read_dates(cells: Sequence[str], form: str) -> list[datetime]:
+    """Return the dates up to the first cell that has another form."""
+    dates = []
+    for cell in cells:
+        try:
+            dates.append(read_date(cell, form))
+        except ValueError:
+            break
+    return dates
+
+
+def _clock_seconds(dates: Sequence[datetime]) -> NDArray[np.float64]:
+    """Return the seconds since 1970 that a clock shows, whatever its zone."""
+    start = datetime(1970, 1, 1)
+    return np.array([(date.replace(tzinfo=None) - start).total_seconds() for date in dates])
 
 
 def _is_value(cell: str) -> bool:
@@ -536,6 +562,8 @@ def _is_value(cell: str) -> bool:
 
 def _is_number(cell: str) -> bool:
     """Return whether a cell holds a number, with a point or a comma."""
+    if '_' in cell:  # which Python takes for nothing between digits
+        return False
     try:
         float(cell.strip().replace(',', '.'))
     except ValueError:
@@ -554,11 +582,19 @@ def _read_text(path: Path, encoding: str) -> str:
         raise CsvError(
             f'{path}: expected a CSV file but found a workbook; save its sheet as CSV (UTF-8)'
         )
-    if (data.startswith(_UTF16_MARKS) or b'\0' in data) and not codec.startswith(_WIDE):
-        raise CsvError(
-            f'{path}: expected text in {encoding} but found what looks like UTF-16; import with '
-            '--encoding utf-16'
-        )
+    if not codec.startswith(_WIDE):
+        if _looks_wide(data):
+            raise CsvError(
+                f'{path}: expected text in {encoding} but found what looks like UTF-16; import '
+                'with --encoding utf-16'
+            )
+        place = data.find(b'\0')
+        if place >= 0:
+            line = data.count(b'\n', 0, place) + 1
+            raise CsvError(
+                f'{path}, line {line}: expected text but found {data.count(0)} zero bytes, the '
+                f'first one as byte {place}, as a torn write leaves them; delete what is damaged'
+            )
     if not codec.startswith('utf') and not data.isascii() and _is_utf8(data):
         raise CsvError(
             f'{path}: expected text in {encoding} but it is UTF-8; import without --encoding'
@@ -579,129 +615,15 @@ def _read_text(path: Path, encoding: str) -> str:
     return text.removeprefix('\ufeff')
 
 
+def _looks_wide(data: bytes) -> bool:
+    """Return whether every other byte is zero, as of plain text in UTF-16."""
+    zeros = sorted((data[::2].count(0), data[1::2].count(0)))
+    return data.startswith(_UTF16_MARKS) or (zeros[1] > len(data) // 4 and zeros[0] < zeros[1] / 4)
+
+
 def _is_utf8(data: bytes) -> bool:
     try:
         data.decode()
     except UnicodeDecodeError:
         return False
     return True
-
-
-def strptime_form(text: str) -> str:
-    """Return a form as `strptime` writes it, from that or from what spreadsheets call it.
-
-    Raises
-    ------
-    ValueError
-        If it is neither.
-
-    Examples
-    --------
-    >>> strptime_form('dd.mm.yyyy hh:mm:ss'), strptime_form('TT.MM.JJJJ hh:mm')
-    ('%d.%m.%Y %H:%M:%S', '%d.%m.%Y %H:%M')
-    """
-    if text == ISO8601:
-        return text
-    form = text if '%' in text else _from_spreadsheet(text)
-    if '%' not in form or not _is_form(form):
-        raise ValueError(
-            'expected a form such as %d.%m.%Y %H:%M:%S, dd.mm.yyyy hh:mm:ss or iso8601 but '
-            f'found {text!r}'
-        )
-    return form
-
-
-def _is_form(form: str) -> bool:
-    try:
-        datetime.strptime('', form)
-    except ValueError as error:
-        return re.search('bad directive|stray', str(error)) is None
-    return True
-
-
-def _from_spreadsheet(text: str) -> str:
-    hour = '%I' if re.search('am/pm', text, re.IGNORECASE) else '%H'
-    names = [token.lower() for token in _TOKEN.findall(text)]
-    places = iter(range(len(names)))
-
-    def directive(_: re.Match[str]) -> str:
-        place = next(places)
-        name = names[place]
-        if name == 'mm':  # minutes behind an hour or before a second, months else
-            near = (names[place - 1 : place], names[place + 1 : place + 2])
-            return '%M' if near[0] in (['h'], ['hh']) or near[1] == ['ss'] else '%m'
-        return hour if name in ('h', 'hh') else _DIRECTIVES[name]
-
-    return _TOKEN.sub(directive, text)
-
-
-def _has_date(form: str) -> bool:
-    """Return whether a form says the day."""
-    return form == ISO8601 or _DATE_PART.search(form) is not None
-
-
-def read_time(text: str, form: str) -> float:
-    """Return the seconds of a date since 1970, or of a time of day since midnight.
-
-    A zone that the text does not name is UTC.  A fraction of a second may stand behind a point
-    or a comma.
-
-    Raises
-    ------
-    ValueError
-        If the text has another form.
-    """
-    text = text.strip()
-    if form == ISO8601:
-        # Python 3.10 does not know the Z of ISO 8601.
-        date = datetime.fromisoformat(f'{text[:-1]}+00:00' if text.endswith('Z') else text)
-        return _seconds(date)
-    fraction = 0.0
-    if '%f' not in form:
-        found = _FRACTION.search(text)
-        if found:
-            fraction = float(f'0.{found[1]}')
-            text = text[: found.start()] + text[found.end() :]
-    date = datetime.strptime(text, form)
-    if not _has_date(form):
-        date = date.replace(year=1970, month=1, day=1)
-    return _seconds(date) + fraction
-
-
-def known_forms(cells: Sequence[str]) -> list[str]:
-    """Return the known forms that all of some texts have; none if there is no text."""
-    return [form for form in KNOWN_FORMATS if cells and all(_has(cell, form) for cell in cells)]
-
-
-def _is_day(text: str) -> bool:
-    """Return whether a text is a date in a known form, without a time of day."""
-    return any(_has(text, form) for form in (*_DATES, *_EITHER))
-
-
-def _first_misfit(cells: Sequence[str], form: str) -> int | None:
-    """Return the number of the first text that has another form."""
-    return next((row for row, cell in enumerate(cells) if not _has(cell, form)), None)
-
-
-def _past_midnight(seconds: NDArray[np.float64]) -> tuple[NDArray[np.float64], list[int]]:
-    """Return times of day with a day more after each midnight, and the rows that follow one.
-
-    Midnight lies where the clock goes back by more than half a day; by less, it was set.
-    """
-    rows = np.flatnonzero(np.diff(seconds) < -0.5 * DAY) + 1
-    days = np.zeros(len(seconds))
-    days[rows] = 1.0
-    return seconds + DAY * np.cumsum(days), rows.tolist()
-
-
-def _has(text: str, form: str) -> bool:
-    try:
-        read_time(text, form)
-    except ValueError:
-        return False
-    return True
-
-
-def _seconds(date: datetime) -> float:
-    zoned = date if date.tzinfo is not None else date.replace(tzinfo=timezone.utc)
-    return zoned.timestamp()

@@ -463,7 +463,8 @@ class McapFile:
         except _decompression_errors() as error:
             raise self._damaged(chunk, f'it cannot be decompressed ({error})') from error
         if len(data) != chunk.size:
-            raise self._damaged(chunk, f'expected {chunk.size} bytes but found {len(data)}')
+            found = 'more' if len(data) > chunk.size else len(data)
+            raise self._damaged(chunk, f'expected {chunk.size} bytes but found {found}')
         if chunk.crc and zlib.crc32(data) != chunk.crc:
             raise self._damaged(chunk, 'its checksum is wrong')
         return data

@@ -190,6 +190,8 @@ class Metadata:
         rosbag2's own compression of whole files or messages; empty if there is none.
     version : int
         Version of the file.
+    stated : int, optional
+        Number of messages on all topics that the file states.
     """
 
     storage: str
@@ -200,6 +202,7 @@ class Metadata:
     custom: dict[str, str] = field(default_factory=dict)
     compression: str = ''
     version: int = VERSION
+    stated: int | None = None
 
     @property
     def message_count(self) -> int:
@@ -322,6 +325,7 @@ def _metadata(content: dict[str, Any]) -> Metadata:
         custom={str(key): str(value) for key, value in custom.items()},
         compression='' if mode == 'none' else mode,
         version=version,
+        stated=count,
     )
 
 

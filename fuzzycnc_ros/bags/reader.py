@@ -219,6 +219,18 @@ class BagReader:
         BagFormatError
             If a chunk is damaged.
         """
+        wanted = self._wanted(topics)
+        decodes = {} if raw else {t: self.decoder.decode(self.connections[t].type) for t in wanted}
+        for found in self._chosen(wanted, start, stop):
+            topic, payload = found.channel.topic, found.payload
+            message = payload if raw else decodes[topic](payload)
+            yield BagMessage(topic, found.channel.type, found.log_time, message)
+
+    def raw_messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """Yield undecoded messages with all that the bag says of each, as `messages` does."""
+        yield from self._chosen(self._wanted(topics), None, None)
+
+    def _wanted(self, topics: Collection[str] | None) -> set[str]:
         wanted = set(self.connections if topics is None else topics)
         unknown = wanted - set(self.connections)
         if unknown:
@@ -226,20 +238,24 @@ class BagReader:
                 f'{self.path}: expected the topics {", ".join(sorted(unknown))} but the bag has '
                 f'{_listed(self.connections, "none")}'
             )
-        decodes = {} if raw else {t: self.decoder.decode(self.connections[t].type) for t in wanted}
+        return wanted
+
+    def _chosen(
+        self, wanted: set[str], start: int | None, stop: int | None
+    ) -> Iterator[RawMessage]:
+        """Yield the messages of some topics and a span; count them where the span is all."""
         whole = start is None and stop is None
         yielded: Counter[str] = Counter()
-        for log_time, _, _, channel, payload in self._in_log_order(start, stop):
-            topic = channel.topic
-            if topic not in wanted:
+        for found in self._in_log_order(start, stop):
+            if found.channel.topic not in wanted:
                 continue
             if not whole and not (
-                (start is None or log_time >= start) and (stop is None or log_time < stop)
+                (start is None or found.log_time >= start)
+                and (stop is None or found.log_time < stop)
             ):
                 continue
-            yielded[topic] += 1
-            message = payload if raw else decodes[topic](payload)
-            yield BagMessage(topic, channel.type, log_time, message)
+            yielded[found.channel.topic] += 1
+            yield found
         if whole:
             self._check_yielded(wanted, yielded)
 
@@ -371,6 +387,7 @@ class BagReader:
         if metadata.custom.get(STATE_KEY) == STATE_RECORDING:
             self.problems.append(f'{self.path}: the recorder did not finish metadata.yaml')
             return
+        self.problems += self._contradictions(metadata)
         if not self._counted:
             return  # what is read decides
         there: Counter[str] = Counter()
@@ -386,6 +403,35 @@ class BagReader:
                         '`fuzzycnc info --repair`, or `ros2 bag reindex`'
                     )
                 )
+
+    def _contradictions(self, metadata: Metadata) -> list[str]:
+        """Return where totals and times of `metadata.yaml` are others than those of the files.
+
+        Nothing is lost by them, so that they are told and refused by nobody.
+        """
+        there = [sum((contents.promised or {}).values()) for contents in self._contents]
+        compared: list[tuple[str, str]] = []
+        if self._counted and metadata.stated is not None:
+            compared.append((f'{metadata.stated} messages in all', f'{sum(there)}'))
+        if self.stop and metadata.stated:
+            compared += _times('all', (metadata.start, metadata.stop), (self.start, self.stop))
+        # Versions before 5 say nothing of each file.
+        said = metadata.parts if any(part.message_count for part in metadata.parts) else []
+        for part, contents, count in zip(said, self._contents, there, strict=False):
+            if contents.promised is not None:
+                compared.append((f'{part.message_count} messages in {part.path}', f'{count}'))
+            if contents.blocks and part.message_count:
+                span = (
+                    min(block.start for block in contents.blocks),
+                    max(block.stop for block in contents.blocks),
+                )
+                compared += _times(part.path, (part.start, part.stop), span)
+        return [
+            f'{self.path}: metadata.yaml says {stated} but the storage files hold {found}; '
+            '`ros2 bag reindex` writes it anew'
+            for stated, found in compared
+            if stated.split()[0] != found
+        ]
 
     def _report(self, error: Exception) -> None:
         if self._strict:
@@ -471,6 +517,19 @@ class BagReader:
                         f'promises but read {yielded[topic]}; run `fuzzycnc info --repair`'
                     )
                 )
+
+
+def _times(what: str, stated: tuple[int, int], found: tuple[int, int]) -> list[tuple[str, str]]:
+    """Return beginning and duration as stated and as found, both from start to stop [ns]."""
+    (start, stop), (begin, end) = stated, found
+    return [
+        (f'{_seconds(start)} s as the beginning of {what}', _seconds(begin)),
+        (f'{_seconds(stop - start)} s as the duration of {what}', _seconds(end - begin)),
+    ]
+
+
+def _seconds(time: int) -> str:
+    return f'{time // 10**9}.{time % 10**9:09d}'
 
 
 def _listed(topics: Iterable[str], none: str) -> str:

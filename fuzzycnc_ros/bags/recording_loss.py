@@ -66,6 +66,23 @@ def gaps(attachments: 'Mapping[str, Attachment]') -> list[str]:
         raise _odd(error) from error
 
 
+def publishers(attachments: 'Mapping[str, Attachment]') -> dict[str, tuple[str, ...]]:
+    """Return the nodes that were seen to publish on each topic; empty if the bag does not say.
+
+    Raises
+    ------
+    ValueError
+        If the attachment is not what a recorder writes.
+    """
+    try:
+        return {
+            str(topic): tuple(map(str, nodes))
+            for topic, nodes in _said(attachments, 'publishers').items()
+        }
+    except TypeError as error:
+        raise _odd(error) from error
+
+
 def hole_text(count: int, longest: float, at: float) -> str:
     """Return in words how many holes there are, and the longest [s]."""
     number = '1 hole' if count == 1 else f'{count} holes, the longest'

@@ -238,7 +238,10 @@ class _Copy:
     def _write(self, messages: list[RawMessage]) -> None:
         for log_time, publish_time, sequence, channel, payload in messages:
             if self._announce(channel) and (self._repeats or not channel.repeated):
-                self.writer.write(channel.topic, log_time, publish_time, payload, sequence)
+                self.writer.write(
+                    *(channel.topic, log_time, publish_time, payload, sequence),
+                    repeated=channel.repeated,
+                )
                 self._last[channel.topic] = max(self._last.get(channel.topic, 0), log_time)
 
 

@@ -9,24 +9,31 @@ for byte in canonical form.
 
 import json
 import os
+import struct
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields
-from itertools import compress
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from itertools import compress, zip_longest
 from math import inf
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
 from fuzzycnc_ros.bags.canonical import canonical_message, combined_hash, topic_hashes
+from fuzzycnc_ros.bags.errors import BagDataError
+from fuzzycnc_ros.bags.origins import REPLAYABLE, Origins
 from fuzzycnc_ros.bags.playback import stamp_of
 from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.bags.recording_loss import publishers
 from fuzzycnc_ros.bags.runs import read_run
+from fuzzycnc_ros.bags.storage import RawMessage
 from fuzzycnc_ros.bags.typestore import ROSBAGS, deserialize
 from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.core.config import Config
-from fuzzycnc_ros.registry import COMPONENTS, MACHINES
+from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.runtime.arithmetic import apart, arithmetic
 from fuzzycnc_ros.runtime.component import Component, Emission, Input
 from fuzzycnc_ros.runtime.convert import decode, encode
 from fuzzycnc_ros.runtime.host import (
@@ -64,6 +71,8 @@ ROUNDING = 1e-9
 SMALL = 1e-3
 """Share of the largest magnitude of a field in its topic [-] below which a number counts as that
 share: next to a velocity of 0.1 m/s, 3e-16 and -3e-16 m/s are the same zero."""
+_Output = tuple[str, str, int, Any]
+"""Topic, type, stamp [ns] and message of rosbags."""
 
 _Point = tuple[int, NodeEvent | NodeConfiguration | None]
 """Machine time [ns], and the request or the change that comes then; nothing in a turn."""
@@ -83,16 +92,29 @@ class TopicComparison:
     first_difference: str = ''
     largest_difference: float = 0.0
     """Largest relative difference of a number [-]; infinite if anything else differs."""
+    not_recomputed: str = ''
+    """Why messages of it were not recomputed; empty if all were."""
+    left_out: bool = False
+    """Whether the recorder was told not to record it, so that nothing can be compared."""
 
     @property
     def equal(self) -> bool:
         """Whether nothing differs."""
-        return self.recorded == self.recomputed == self.identical
+        return self.left_out or self.recorded == self.recomputed == self.identical
 
     @property
     def equivalent(self) -> bool:
         """Whether nothing differs but the rounding of another processor's arithmetic."""
         return self.equal or self.largest_difference <= ROUNDING
+
+
+@dataclass(frozen=True)
+class GivenTopic:
+    """A recorded topic that a replay takes as it is, and whose it is."""
+
+    topic: str
+    recorded: int
+    origin: str
 
 
 @dataclass(frozen=True)
@@ -102,26 +124,48 @@ class ReplayReport:
     Attributes
     ----------
     topics : list of TopicComparison
-        One entry per recomputed topic.
+        One entry per topic that was recomputed, or should have been.
     hashes : dict of str to str
         SHA-256 of the canonical form of each recomputed topic.
     notes : list of str
         What could not be repeated as recorded, and why.
+    given : list of GivenTopic
+        Recorded topics that were taken as they are.
     """
 
     topics: list[TopicComparison]
     hashes: dict[str, str]
     notes: list[str] = field(default_factory=list)
+    given: list[GivenTopic] = field(default_factory=list)
+
+    arithmetic: str | None = None
+    """How what the bag was recorded with computes otherwise; empty if not, None if unknown."""
 
     @property
     def identical(self) -> bool:
-        """Whether every output came out as recorded, byte for byte."""
-        return bool(self.topics) and all(item.equal for item in self.topics)
+        """Whether every recorded output was recomputed and came out as it was, byte for byte."""
+        return self.compared and all(item.equal for item in self.topics)
 
     @property
     def equivalent(self) -> bool:
-        """Whether every output came out as recorded, up to rounding."""
-        return bool(self.topics) and all(item.equivalent for item in self.topics)
+        """Whether every recorded output was recomputed and came out as it was, up to rounding.
+
+        Where the same arithmetic gives other digits there is no excuse for them.
+        """
+        if self.arithmetic == '':
+            return self.identical
+        return self.compared and all(item.equivalent for item in self.topics)
+
+    @property
+    def compared(self) -> bool:
+        """Whether there was anything to compare."""
+        return any(item.recorded and item.recomputed for item in self.topics)
+
+    @property
+    def differing(self) -> bool:
+        """Whether anything that was recomputed came out otherwise."""
+        alike = attrgetter('equal' if self.arithmetic == '' else 'equivalent')
+        return any(not (alike(item) or item.not_recomputed) for item in self.topics)
 
     @property
     def hash(self) -> str:
@@ -137,6 +181,7 @@ def replay(
     path: str | os.PathLike[str],
     *,
     nodes: Sequence[str] = (),
+    given: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> ReplayReport:
     """Recompute the outputs of a bag's components and compare them with the recorded ones.
@@ -147,6 +192,8 @@ def replay(
         Bag of a run, live or simulated.
     nodes : sequence of str
         Only these nodes; all that the bag describes if empty.
+    given : sequence of str
+        Topics that are to be taken as they are, since another node wrote them.
     progress : callable, optional
         Told before each component.
 
@@ -156,6 +203,11 @@ def replay(
         If the bag cannot be read.
     ReplayError
         If it holds no configuration of a component, so that nothing can be set up.
+
+    Notes
+    -----
+    Every recorded topic that a component of this package may have written is in the report, also
+    if no configuration of it is in the bag: `identical` is said of all of them or of none.
     """
     with BagReader(path) as reader:
         recording = _Recording(reader)
@@ -163,28 +215,60 @@ def replay(
     if not wanted:
         raise ReplayError(
             f'{path}: expected node_configuration messages of '
-            f'{", ".join(nodes) or ", ".join(_replayable())} but found '
+            f'{", ".join(nodes or REPLAYABLE)} but found '
             f'{", ".join(recording.nodes) or "none"}; record all topics of the machine'
         )
-    topics, outputs, notes = [], [], list(recording.notes)
+    outputs: dict[str, list[_Output]] = {}
+    failed: dict[str, str] = {}
+    notes = list(recording.notes)
     for done, name in enumerate(wanted):
         if progress is not None:
             progress(name, done, len(wanted))
         player = _ComponentReplay(recording, name)
         player.run()
         notes.extend(player.notes)
+        failed.update(dict.fromkeys(player.outputs, player.failure) if player.failure else {})
         for topic, messages in player.outputs.items():
-            outputs.extend(messages)
-            topics.append(_compare_topic(topic, recording.raw.get(topic, []), messages))
-    return ReplayReport(topics, topic_hashes(outputs), notes)
+            outputs.setdefault(topic, []).extend(messages)
+    for topic in failed:
+        # What a request gave live still counts for those who read it; it is not recomputed.
+        outputs[topic] = []
+    topics = [
+        recording.compared(topic, messages, failed.get(topic, ''))
+        for topic, messages in outputs.items()
+    ]
+    taken: list[GivenTopic] = []
+    if not nodes:
+        lost, taken = recording.not_recomputed(outputs, given)
+        topics += lost
+    hashes = topic_hashes(message for messages in outputs.values() for message in messages)
+    return ReplayReport(topics, hashes, notes, taken, recording.arithmetic(wanted))
 
 
-def _replayable() -> list[str]:
-    return [name for name in COMPONENTS if name not in MACHINES]
+def _seen_to_publish(reader: BagReader) -> dict[str, tuple[str, ...]]:
+    """Return the nodes that the recorder saw publish on each topic; empty if nothing tells."""
+    try:
+        return publishers(reader.attachments())
+    except ValueError:
+        return {}  # damaged: then nobody is believed to be foreign
 
 
-def _stamp(message: tuple[str, bytes]) -> int:
-    return stamp_of(message[1])
+def _stamp(payload: bytes) -> int:
+    try:
+        return stamp_of(payload)
+    except (struct.error, IndexError) as error:
+        raise BagDataError(
+            f'expected a message that begins with a header but found {len(payload)} bytes'
+        ) from error
+
+
+def _order(message: RawMessage) -> tuple[int, int, int, int]:
+    """Return by what the messages of a topic are in order.
+
+    The order in which messages of one log time lie in a bag carries no meaning: tools that convert
+    bags change it.
+    """
+    return message.log_time, _stamp(message.payload), message.publish_time, message.sequence
 
 
 def _step_of(event: NodeEvent) -> int:
@@ -239,60 +323,177 @@ class _Recording:
     """The messages of a bag, by topic."""
 
     def __init__(self, reader: BagReader) -> None:
-        self.raw: dict[str, list[tuple[str, bytes]]] = defaultdict(list)
         known = set(_PLUMBING)
         for component in COMPONENTS.values():
             known.update(item.name for item in component.INPUTS)
             known.update(item.name for item in component.OUTPUTS)
-        wanted = [
-            topic for topic in reader.connections if not known.isdisjoint(topic.split('/')[-2:])
-        ]
+        kinds = {o.record.TYPE for item in COMPONENTS.values() for o in item.OUTPUTS}
         self._decoder = reader.decoder
+        self._kinds = {topic: item.type for topic, item in reader.connections.items()}
+        wanted = [
+            topic
+            for topic, kind in self._kinds.items()
+            if kind in kinds or not known.isdisjoint(topic.split('/')[-2:])
+        ]
+        self._publishers = _seen_to_publish(reader)
         self.notes: list[str] = []
+        self._after_step = ''
+        self._counts: Counter[str] = Counter()
+        self.begins_late = reader.missing_parts > 0
+        """Whether the bag begins in the middle of a recording."""
+        if self.begins_late:
+            self.notes.append(
+                f'the bag begins in the middle of a recording, of which {reader.missing_parts} '
+                'parts come before it: its nodes start from what is latched at its head'
+            )
+        found: dict[str, list[RawMessage]] = defaultdict(list)
+        heads: dict[str, list[RawMessage]] = defaultdict(list)
         end: _SeriesEnd | None = None
-        for topic, kind, logged, payload in reader.messages(wanted, raw=True):
+        for message in reader.raw_messages(wanted):
+            topic, payload, logged = message.channel.topic, message.payload, message.log_time
+            if message.channel.repeated:
+                heads[topic].append(message)
+                continue
             if end is None and topic.endswith('/node_event') and CLOCK_STEP.encode() in payload:
-                event = decode(NodeEvent, self._decoder.decode(kind)(payload))
+                event = decode(NodeEvent, self._decoder.decode(message.channel.type)(payload))
                 if event.name == CLOCK_STEP:
+                    when = f'the clock of {event.node} was set at {event.stamp / SECOND:.3f} s'
                     self.notes.append(
-                        f'the clock of {event.node} was set at {event.stamp / SECOND:.3f} s: what '
-                        'came after it is not replayed, as its stamps are a series of their own'
+                        f'{when}: what came after it is not replayed, as its stamps are a series '
+                        'of their own'
                     )
-                    told = {name: len(messages) for name, messages in self.raw.items()}
+                    self._after_step = when
+                    told = {name: len(messages) for name, messages in found.items()}
                     end = _SeriesEnd(event.stamp, _step_of(event), logged, told)
                     continue
-            if end is not None and logged > end.logged + LATE + max(end.step, 0):
-                break
-            self.raw[topic].append((kind, payload))
-        if end is not None:
-            for topic, messages in self.raw.items():
-                kept = end.kept(
-                    topic, zip(self._senders(topic), map(_stamp, messages), strict=True)
-                )
-                self.raw[topic] = list(compress(messages, kept))
+            self._counts[topic] += 1
+            if end is None or logged <= end.logged + LATE + max(end.step, 0):
+                found[topic].append(message)
+        self.raw = {topic: self._series(sorted(found[topic], key=_order), end) for topic in found}
+        self._heads = {topic: self._series(heads[topic], None) for topic in heads}
         self.nodes: dict[str, list[NodeConfiguration]] = defaultdict(list)
         """Configurations by namespace and node."""
-        for topic in list(self.raw):
-            if topic.rsplit('/', 1)[-1] != 'node_configuration':
+        for topic in dict.fromkeys((*self._heads, *self.raw)):
+            space, _, name = topic.rpartition('/')
+            if name != 'node_configuration':
                 continue
-            space = topic.rsplit('/', 1)[0]
-            for record in self.records(topic, NodeConfiguration):
-                if record.node in _replayable():
+            configurations = self.head(topic, NodeConfiguration)
+            configurations += self.records(topic, NodeConfiguration)
+            for record in configurations:
+                if record.node in REPLAYABLE:
                     self.nodes[f'{space}/{record.node}'].append(record)
 
-    def _senders(self, topic: str) -> list[str]:
+    def _series(
+        self, messages: list[RawMessage], end: _SeriesEnd | None
+    ) -> list[tuple[str, bytes]]:
+        """Return type and bytes of the messages of a topic before the clock was set."""
+        raw = [(message.channel.type, message.payload) for message in messages]
+        if end is None or not messages:
+            return raw
+        topic = messages[0].channel.topic
+        senders = self._senders(topic, raw)
+        stamps = (_stamp(payload) for _, payload in raw)
+        return list(compress(raw, end.kept(topic, zip(senders, stamps, strict=True))))
+
+    def _senders(self, topic: str, raw: list[tuple[str, bytes]]) -> list[str]:
         """Return the node that each message of a topic tells of; empty where one node has it."""
         told_of = _TOLD_OF.get(topic.rsplit('/', 1)[-1])
         if told_of is None:
-            return [''] * len(self.raw[topic])
-        return [record.node for record in self.records(topic, told_of)]
+            return [''] * len(raw)
+        return [record.node for record in self._decoded(raw, told_of)]
 
     def records(self, topic: str, record_type: type[Any]) -> list[Any]:
         """Return the messages of a topic as records; none if it was not recorded."""
-        return [
-            decode(record_type, self._decoder.decode(kind)(payload))
-            for kind, payload in self.raw.get(topic, [])
+        return self._decoded(self.raw.get(topic, []), record_type)
+
+    def head(self, topic: str, record_type: type[Any]) -> list[Any]:
+        """Return what the head of the bag repeats on a topic from the recording before it."""
+        return self._decoded(self._heads.get(topic, []), record_type)
+
+    def _decoded(self, raw: list[tuple[str, bytes]], record_type: type[Any]) -> list[Any]:
+        return [decode(record_type, self._decoder.decode(kind)(payload)) for kind, payload in raw]
+
+    def compared(self, topic: str, messages: list[_Output], failure: str) -> TopicComparison:
+        """Compare what was recorded on a topic with what was recomputed."""
+        recorded = self.raw.get(topic, [])
+        found, last = _compare_topic(topic, recorded, messages)
+        if self.begins_late and not failure and not found.equivalent:
+            return replace(found, not_recomputed=self._from_before(topic, messages, last))
+        after = self._counts[topic] - len(recorded)
+        why = failure if recorded else ''
+        if after:
+            # Recorded, and not compared with anything.
+            found = replace(found, recorded=self._counts[topic], largest_difference=inf)
+            why = why or f'{after} came after {self._after_step}'
+            why = '' if found.identical < len(recorded) and not failure else why
+        left_out = bool(messages and self._publishers) and topic not in self._kinds
+        return replace(found, not_recomputed=why, left_out=left_out)
+
+    def _from_before(self, topic: str, messages: list[_Output], last: int) -> str:
+        """Say how far a difference may come from a state that began before the bag; empty if not.
+
+        Parameters
+        ----------
+        topic : str
+            The topic.
+        messages : list
+            What was recomputed on it.
+        last : int
+            Stamp of the last difference [ns].
+        """
+        space, _, name = topic.rpartition('/')
+        nodes = [
+            node
+            for node in REPLAYABLE
+            if name in {o.name for o in COMPONENTS[node].OUTPUTS}
+            and f'{space}/{node}' in self.nodes
         ]
+        began = f'the state of {" or ".join(nodes)} began before the bag'
+        after = [stamp for _, _, stamp, _ in messages if stamp > last]
+        if len(after) > len(messages) // 2:
+            return f'{began}; equal from {after[0] / SECOND:.3f} s on, {len(after)} messages'
+        if any(o.persistent for node in nodes for o in COMPONENTS[node].OUTPUTS):
+            return ''
+        return f'{began}, and nothing in it holds that state'
+
+    def arithmetic(self, nodes: Iterable[str]) -> str | None:
+        """Say how what some nodes computed with differs from here; None where one is unknown."""
+        told = {item.version.partition(' ')[2] for node in nodes for item in self.nodes[node]}
+        return None if '' in told else apart(told, arithmetic())
+
+    def not_recomputed(
+        self, outputs: Collection[str], given: Sequence[str]
+    ) -> tuple[list[TopicComparison], list[GivenTopic]]:
+        """Return recorded topics that should have been recomputed, and those taken as given."""
+        origins = Origins(self._kinds, set(self.nodes), self._traces(), self._publishers, given)
+        lost, taken = [], []
+        for topic, count in self._counts.items():
+            origin = origins.of(topic) if topic not in outputs else None
+            if origin is None or not count:
+                continue
+            if origin.given:
+                taken.append(GivenTopic(topic, count, origin.text))
+            else:
+                lost.append(
+                    TopicComparison(
+                        topic, count, 0, 0, largest_difference=inf, not_recomputed=origin.text
+                    )
+                )
+        return lost, taken
+
+    def _traces(self) -> set[str]:
+        """Return the nodes, each in its namespace, that events, turns and topics tell of."""
+        found = set()
+        for topic in self._kinds:
+            parent, _, name = topic.rpartition('/')
+            if name == 'transition_event':
+                found.add(parent)
+            elif parent.endswith('/machine_tick'):
+                found.add(f'{parent.rpartition("/")[0]}/{name}')
+            elif name in ('node_event', 'deadline_fired'):
+                for record in self.records(topic, _TOLD_OF[name]):
+                    found.add(f'{parent}/{record.node}')
+        return found
 
 
 class _BoundedMerger(Merger):
@@ -316,6 +517,9 @@ class _BoundedMerger(Merger):
 class _ComponentReplay:
     """One component, set up and driven as recorded."""
 
+    failure = ''
+    """Why its outputs could not be recomputed."""
+
     def __init__(self, recording: _Recording, name: str) -> None:
         self._recording = recording
         self._space, node = name.rsplit('/', 1)
@@ -327,7 +531,7 @@ class _ComponentReplay:
         if isinstance(self._component, SensorSelector):
             self._component.run_reader = read_run
         self._merger = _BoundedMerger(self._component)
-        self.outputs: dict[str, list[tuple[str, str, int, Any]]] = {
+        self.outputs: dict[str, list[_Output]] = {
             f'{self._space}/{item.name}': [] for item in kind.OUTPUTS
         }
         events = recording.records(f'{self._space}/node_event', NodeEvent)
@@ -340,9 +544,21 @@ class _ComponentReplay:
         self._points = self._collect_points(configurations)
         told = sum(len(recording.raw.get(topic, ())) for topic in self.outputs)
         self._merger.deadlines_left = DEADLINES_MAX + 10 * (told + len(self._points))
-        first = configurations[0]
-        if isinstance(self._component, ThermalPredictor) and first.model:
-            self._component.use_model(first.model)
+        self._begin(configurations[0])
+        self._joint = self._find_joint()
+
+    def _begin(self, first: NodeConfiguration) -> None:
+        """Give the component what it had when the bag began, as far as the bag says."""
+        component, late = self._component, self._recording.begins_late
+        for item in component.OUTPUTS:
+            for record in self._recording.head(f'{self._space}/{item.name}', item.record):
+                component.restore(item.name, record)
+        if isinstance(component, ThermalPredictor) and first.model:
+            component.use_model(first.model)
+        elif late and first.model:
+            component.on_request('use_model', {'model': first.model}, first.stamp)
+        if late and component.MANAGED and first.lifecycle_state == 'active':
+            component.on_request('activate', {}, first.stamp)
 
     def run(self) -> None:
         """Work through the recording in the order of machine time."""
@@ -350,6 +566,7 @@ class _ComponentReplay:
             for record in records:
                 self._merger.push(name, record)
         for stamp, change in self._points:
+            self._join(stamp)
             if isinstance(change, NodeEvent):
                 self._request(change)
             elif change is not None:
@@ -357,9 +574,42 @@ class _ComponentReplay:
             else:
                 self._keep(self._merger.advance(stamp))
 
+    def _join(self, stamp: int) -> None:
+        """Take up the state that an output told, once machine time comes to it.
+
+        What the component gave before rests on nothing.
+        """
+        if self._joint is not None and stamp >= self._joint[1].stamp:
+            name, record = self._joint
+            self._joint = None
+            self._merger.advance(record.stamp)
+            self._component.restore(name, record)
+            for messages in self.outputs.values():
+                messages.clear()
+
+    def _find_joint(self) -> tuple[str, Record] | None:
+        """Return the output that tells the state of a component whose beginning is missing.
+
+        It is caused by a driving record, since then what it follows from is in the bag, too.  None
+        for components that take up what is latched, or nothing.
+        """
+        kind = type(self._component)
+        persistent = any(item.persistent for item in kind.OUTPUTS)
+        if not self._recording.begins_late or persistent or kind.restore is Component.restore:
+            return None
+        drives = next((item.name for item in kind.INPUTS if item.driving), '')
+        stamps = {record.stamp for record in self._inputs.get(drives, [])[1:]}
+        for item in kind.OUTPUTS:
+            for record in self._recording.records(f'{self._space}/{item.name}', item.record):
+                if record.stamp in stamps:
+                    return item.name, record
+        return None
+
     def _taken(self, source: Input) -> list[Any]:
         """Return the records of an input but for those that the host refused."""
-        records = self._recording.records(f'{self._space}/{source.name}', source.record)
+        topic = f'{self._space}/{source.name}'
+        records = self._recording.head(topic, source.record)
+        records += self._recording.records(topic, source.record)
         return [item for item in records if (source.name, str(item.stamp)) not in self._refused]
 
     def _collect_points(self, configurations: list[NodeConfiguration]) -> list[_Point]:
@@ -394,10 +644,8 @@ class _ComponentReplay:
         if answer.success:
             self._keep(answer.emissions)
             return
-        self.notes.append(f'{event.node}: {event.name} could not be repeated: {answer.message}')
-        for item in self._component.OUTPUTS:
-            # What the request gave live still counts for those who read it; it is not recomputed.
-            self.outputs.pop(f'{self._space}/{item.name}', None)
+        self.failure = f'{event.node}: {event.name} could not be repeated: {answer.message}'
+        self.notes.append(self.failure)
 
     def _reconfigure(self, record: NodeConfiguration) -> None:
         config = _config(type(self._component), record)
@@ -407,10 +655,9 @@ class _ComponentReplay:
     def _keep(self, emissions: Sequence[Emission] | tuple[Emission, ...]) -> None:
         for emission in emissions:
             topic = f'{self._space}/{emission.output}'
-            if topic in self.outputs:
-                record: Record = emission.record
-                message = encode(record, ROSBAGS)
-                self.outputs[topic].append((topic, record.TYPE, record.stamp, message))
+            record: Record = emission.record
+            message = encode(record, ROSBAGS)
+            self.outputs[topic].append((topic, record.TYPE, record.stamp, message))
 
 
 def _config(kind: type[Component], record: NodeConfiguration) -> Config:
@@ -458,53 +705,44 @@ def _object(text: str, where: str) -> dict[str, Any]:
 
 
 def _compare_topic(
-    topic: str, recorded: list[tuple[str, bytes]], recomputed: list[tuple[str, str, int, Any]]
-) -> TopicComparison:
+    topic: str, recorded: list[tuple[str, bytes]], recomputed: list[_Output]
+) -> tuple[TopicComparison, int]:
     """Compare recorded messages of a topic, type and bytes, with recomputed ones.
 
-    Parameters
-    ----------
-    topic : str
-        The topic.
-    recorded : list
-        Type and bytes of each message.
-    recomputed : list
-        Topic, type, stamp [ns] and message of each.
+    Also returns the stamp of the last difference [ns]; 0 without one.
     """
     before, after = _by_stamp(recorded), _by_stamp((k, m) for _, k, _, m in recomputed)
-    identical, difference, largest = 0, '', 0.0
+    identical, difference, largest, last = 0, '', 0.0, 0
     magnitudes: dict[str, float] = {}
-    for key in sorted(set(before) | set(after)):
-        if key not in before or key not in after:
-            apart, what = inf, 'not recomputed' if key in before else 'not recorded'
-        else:
-            (kind, old), (_, new) = before[key], after[key]
-            if old == new:
-                identical += 1
-                continue
-            what = 'differs'
-            if not magnitudes:
-                for each_kind, payload in before.values():
-                    _note_magnitudes(deserialize(payload, each_kind), magnitudes)
-            messages = deserialize(old, kind), deserialize(new, kind)
-            apart = relative_difference(*messages, magnitudes)
-        largest = max(largest, apart)
-        difference = difference or f'{what}, at machine time {key[0] / SECOND:.3f} s'
-    return TopicComparison(topic, len(recorded), len(recomputed), identical, difference, largest)
+    for stamp in sorted(before.keys() | after.keys()):
+        old, new = Counter(before.get(stamp, ())), Counter(after.get(stamp, ()))
+        identical += (old & new).total()
+        # Of several messages of one stamp the order is chance.
+        for was, now in zip_longest((old - new).elements(), (new - old).elements()):
+            if was is None or now is None:
+                apart, what = inf, 'not recomputed' if now is None else 'not recorded'
+            else:
+                what = 'differs'
+                if not magnitudes:
+                    for kind, payload in recorded:
+                        _note_magnitudes(deserialize(payload, kind), magnitudes)
+                messages = (deserialize(m, kind) for kind, m in (was, now))
+                apart = relative_difference(*messages, magnitudes)
+            largest, last = max(largest, apart), stamp
+            difference = difference or f'{what}, at machine time {stamp / SECOND:.3f} s'
+    counts = len(recorded), len(recomputed), identical
+    return TopicComparison(topic, *counts, difference, largest), last
 
 
-def _by_stamp(messages: Iterable[tuple[str, Any]]) -> dict[tuple[int, int], tuple[str, bytes]]:
-    """Return type and canonical bytes by stamp [ns] and number among those of the stamp.
+def _by_stamp(messages: Iterable[tuple[str, Any]]) -> dict[int, list[tuple[str, bytes]]]:
+    """Return type and canonical bytes by stamp [ns].
 
     One message that is missing must not make all that follow it look different.
     """
-    seen: Counter[int] = Counter()
-    found = {}
+    found = defaultdict(list)
     for kind, message in messages:
         payload = canonical_message(message, kind)
-        stamp = stamp_of(payload)
-        found[stamp, seen[stamp]] = (kind, payload)
-        seen[stamp] += 1
+        found[stamp_of(payload)].append((kind, payload))
     return found
 
 
@@ -527,7 +765,8 @@ def relative_difference(
 ) -> float:
     """Return the largest relative difference [-] between two messages of rosbags.
 
-    Infinite if a text, a count, a flag or a length differs, or a NaN stands against a number.
+    Infinite if a text, a count, a flag or a length differs; NaN and infinities are equal to
+    themselves alone.
 
     Parameters
     ----------
@@ -538,18 +777,23 @@ def relative_difference(
     name : str
         Name of the field.
     """
+    if type(first) is not type(second):
+        return inf
     if isinstance(first, (float, np.ndarray)):
         a, b = np.asarray(first), np.asarray(second)
         if a.shape != b.shape:
             return inf
         if a.dtype.kind != 'f':
             return 0.0 if np.array_equal(a, b) else inf
-        if not np.array_equal(np.isnan(a), np.isnan(b)):
+        finite = np.isfinite(a) & np.isfinite(b)
+        if not np.array_equal(a[~finite], b[~finite], equal_nan=True):
             return inf
+        a, b = a[finite], b[finite]
         least = SMALL * (magnitudes or {}).get(name, 0.0)
         size = np.maximum(np.maximum(np.abs(a), np.abs(b)), least)
-        apart = np.divide(np.abs(a - b), size, out=np.zeros_like(size), where=size > 0.0)
-        return float(np.nanmax(apart, initial=0.0))
+        with np.errstate(over='ignore'):  # of the largest numbers, which then differ enough
+            apart = np.divide(np.abs(a - b), size, out=np.zeros_like(size), where=size > 0.0)
+        return float(np.max(apart, initial=0.0))
     if isinstance(first, (list, tuple)):
         if len(first) != len(second):
             return inf

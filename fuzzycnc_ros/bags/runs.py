@@ -3,7 +3,7 @@
 """Reading a thermal run out of a bag."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import compress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,6 +16,7 @@ from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.components.thermal.predictor_stream import TOPICS, speed_told, speeds_at
 from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun, counted
+from fuzzycnc_ros.core.thermal.sensor_limits import SensorLimits
 from fuzzycnc_ros.runtime.convert import stamp_of
 
 TEMPERATURES_TYPE = 'fuzzycnc_msgs/msg/Temperatures'
@@ -54,6 +55,7 @@ def read_run(
     average: bool = False,
     compensated: bool = False,
     sensors: Callable[[str], bool] | None = None,
+    sensor_limits: Iterable[str] = (),
 ) -> ThermalRun:
     """Read a thermal run from a bag.
 
@@ -79,6 +81,9 @@ def read_run(
     sensors : callable, optional
         Says of a sensor's name whether the run is to have it; all if absent.  What the others
         read is not looked at.
+    sensor_limits : iterable of str
+        Limits of sensors that are not those of a machine's metal, such as `bed:rate_max:0.7`; see
+        `SensorLimits`.
 
     Returns
     -------
@@ -139,6 +144,11 @@ def read_run(
             f'to {time[-1]:.6g} s'
         )
     if not np.isfinite(joined[inside]).any():
+        if not np.isfinite(moved.values).any():
+            raise RunError(
+                f'{source}: expected displacements but found {len(moved.stamp)} messages of '
+                f'{other} whose values all are missing; record or import the run anew'
+            )
         raise RunError(
             f'{source}: expected displacements during the temperatures but found none: '
             f'{topic} has stamps from {_seconds(measured.stamp[0])} to '
@@ -163,6 +173,7 @@ def read_run(
             axis=moved.names[0],
             displacement=joined[used],
             spindle_speed=None if speed is None else speed[used],
+            limits=SensorLimits.of(sensor_limits),
         )
         return counted(run, start, stop)
     except ThermalDataError as error:

@@ -377,6 +377,8 @@ class BagWriter:
         payload: bytes,
         sequence: int = 0,
         publisher: Hashable = None,
+        *,
+        repeated: bool = False,
     ) -> None:
         """Append one undecoded message.
 
@@ -392,6 +394,8 @@ class BagWriter:
             Its publication sequence number, 0 if unknown.
         publisher : hashable, optional
             Who sent it: of a latched topic the newest message of each is repeated in each part.
+        repeated : bool
+            Whether it stands in a part before this bag, too.
 
         Raises
         ------
@@ -414,7 +418,8 @@ class BagWriter:
         part = self._part
         message = _Latched(publish_time, sequence, payload)
         with self._guard():
-            part.add(topic, part.channels[topic, False], log_time, message)
+            channel = part.channel(announced, repeated=repeated)
+            part.add(topic, channel, log_time, message)
         if self._splits and announced.latched:
             kept = self._latched.setdefault(topic, {})
             kept.pop(publisher, None)  # the order is that of the messages

@@ -22,9 +22,12 @@ from fuzzycnc_ros.cli.background_output import background_output
 from fuzzycnc_ros.cli.completion import join_bash_words
 from fuzzycnc_ros.cli.console import complain, flush, say
 from fuzzycnc_ros.cli.quantities import with_their_units
+from fuzzycnc_ros.cli.remedies import command_with, sentence
 from fuzzycnc_ros.core.names import visible
+from fuzzycnc_ros.core.remedies import remedied
 from fuzzycnc_ros.ros.presence import GraphError
-from fuzzycnc_ros.ros.processes import interruptible
+from fuzzycnc_ros.ros.processes import Wish, interruptible
+from fuzzycnc_ros.ros.streams import steady_streams
 
 EPILOG = (
     'Exit codes: 0 done; 1 done, but the result is not as wanted; 2 refused, with one line on '
@@ -186,8 +189,12 @@ class Application:
         _add(self.typer, {n: item for n, item in commands.items() if not isinstance(item, Later)})
         self.typer.callback()(_common)
 
-    def run(self, arguments: Sequence[str]) -> int:
-        """Carry out a command line and return its exit code."""
+    def run(self, arguments: Sequence[str], wish: Wish | None = None) -> int:
+        """Carry out a command line and return its exit code.
+
+        An error that nobody can name, after a wish to end, is what became of the wish in a library
+        that does not pass exceptions on.
+        """
         words, debug = _without_debug(arguments)
         try:
             if words[:1] == ['--version']:
@@ -200,13 +207,19 @@ class Application:
         except (KeyboardInterrupt, typer.Abort):
             code = INTERRUPTED
         except Exception as error:  # the one place where every error becomes a line for people
+            if wish is not None and wish.number and not _is_named(error):
+                return self._interrupted()
             if debug:
                 print(visible(traceback.format_exc(), keep='\n'), file=sys.stderr, end='')
             complain(_line(error, self.name))
             return 2
         if code == INTERRUPTED:  # newer versions of typer return it themselves
-            print('interrupted', file=sys.stderr)
+            return self._interrupted()
         return code if isinstance(code, int) else 0
+
+    def _interrupted(self) -> int:
+        print('interrupted', file=sys.stderr)
+        return INTERRUPTED
 
     def check(self, command: str, arguments: Sequence[str]) -> None:
         """Refuse what a command would refuse of its arguments, without carrying it out."""
@@ -223,12 +236,13 @@ class Application:
 
     def main(self) -> None:
         """Run the command line of this process."""
+        steady_streams(output_matters=True)
         words, _ = _without_debug(sys.argv[1:])
         if os.environ.get(f'_{self.name.upper()}_COMPLETE') == 'complete_bash':
             join_bash_words(os.environ)
         watching = bool(words) and words[0] in self._watching
         with interruptible() as wish, background_output() if watching else nullcontext():
-            code = self.run(sys.argv[1:])
+            code = self.run(sys.argv[1:], wish)
         _drop_unwritten()
         if code == INTERRUPTED and wish.number:
             code = ENDED_BY + wish.number
@@ -245,6 +259,20 @@ def _drop_unwritten() -> None:
         os.close(nowhere)
 
 
+class _Command(TyperCommand):
+    """A command that says what helps in its own options."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        with command_with([option for item in self.params for option in item.opts]):
+            try:
+                return super().invoke(ctx)
+            except ValueError as error:
+                if remedied(error) is None:
+                    raise
+                raise ValueError(sentence(error)) from error
+
+
 def _add(to: typer.Typer, commands: Mapping[str, Callable[..., Any] | CommandGroup]) -> None:
     """Make commands and groups of them known."""
     for name, command in commands.items():
@@ -256,7 +284,7 @@ def _add(to: typer.Typer, commands: Mapping[str, Callable[..., Any] | CommandGro
             _add(group, command.commands)
             to.add_typer(group, name=name, help=text, short_help=short)
         else:
-            to.command(name, help=text, short_help=short)(command)
+            to.command(name, cls=_Command, help=text, short_help=short)(command)
 
 
 def _common(
@@ -276,11 +304,31 @@ def _without_debug(arguments: Sequence[str]) -> tuple[list[str], bool]:
     return kept, len(kept) < len(words)
 
 
+def _has_place() -> bool:
+    """Return whether there is a working folder, without which relative names mean nothing."""
+    try:
+        os.getcwd()
+    except OSError:
+        return False
+    return True
+
+
+def _is_named(error: Exception) -> bool:
+    """Return whether an error says itself what is wrong."""
+    kinds = (_Refusal, _PipeError, OSError, ValueError, ModuleNotFoundError, GraphError)
+    return isinstance(error, kinds)
+
+
 def _line(error: Exception, name: str) -> str:
     """Return an error in one line."""
     if isinstance(error, _PipeError):
         (error,) = error.args
-    if isinstance(error, _Refusal):
+    if isinstance(error, (OSError, ValueError)) and not _has_place():
+        told = f'{error}; '
+        if isinstance(error, OSError):
+            told = '' if error.filename is None else f'{error.filename}: '
+        text = f'{told}the working folder was deleted or cannot be entered: cd to another one'
+    elif isinstance(error, _Refusal):
         text = error.format_message()  # type: ignore[attr-defined]
         context = getattr(error, 'ctx', None)
         command = context.command_path if context is not None else name
@@ -289,7 +337,7 @@ def _line(error: Exception, name: str) -> str:
         text = os_sentence(error)
     elif isinstance(cause := error.__cause__, OSError) and str(cause) in str(error):
         text = os_sentence(cause)
-    elif isinstance(error, (ValueError, ModuleNotFoundError, GraphError)):
+    elif _is_named(error):
         text = str(error)
     else:
         text = (

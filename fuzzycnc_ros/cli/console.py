@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
+from fuzzycnc_ros.bags.atomic import destination, is_written_through
 from fuzzycnc_ros.bags.atomic import write_text as write_whole
 from fuzzycnc_ros.bags.os_errors import STANDARD_OUTPUT, about, no_folder
 from fuzzycnc_ros.cli.progress_lines import progress_lines
@@ -216,12 +217,24 @@ def check_ros(what: str) -> None:
 
 
 def check_new(path: Path | None, remedy: str = 'remove it') -> None:
-    """Refuse an output that would overwrite something, before the work begins.
+    """Refuse an output file that would overwrite another one, before the work begins.
 
     Raises
     ------
     ValueError
-        If it exists, or its folder does not.
+        If it exists, other than as a device or a pipe, or its folder does not.
+    """
+    if path is not None and not is_written_through(path):
+        check_new_folder(path, remedy)
+
+
+def check_new_folder(path: Path | None, remedy: str = 'remove it') -> None:
+    """Refuse an output folder, such as a bag, that exists, before the work begins.
+
+    Raises
+    ------
+    ValueError
+        If it exists, or the folder around it does not.
     """
     if path is not None and path.exists():
         raise ValueError(
@@ -243,8 +256,9 @@ def check_folder(*paths: Path | None) -> None:
             continue
         if path.is_dir():
             raise ValueError(f'{path}: expected a file to write but found a directory')
-        if not path.absolute().parent.is_dir():
-            raise ValueError(no_folder(path))
+        place = destination(path)
+        if not place.parent.is_dir():
+            raise ValueError(no_folder(place if path.is_symlink() else path))
 
 
 def check_at_least(option: str, value: float | None, low: float) -> None:

@@ -129,13 +129,23 @@ DropSensor = Annotated[
 ]
 
 Interval = Annotated[
-    float,
+    Optional[float],  # noqa: UP045 - typer 0.9 does not read the newer form
     typer.Option(
         metavar='TIME',
-        show_default='60 s',
+        show_default='60 s, or that of the slowest run',
         parser=number_in(TIMES, 'a time'),
         help='Sampling interval of the model, in s unless it has a unit; faster runs are '
         'averaged.',
+    ),
+]
+
+SensorLimits = Annotated[
+    Optional[list[str]],  # noqa: UP045
+    typer.Option(
+        metavar='SENSOR:LIMIT:VALUE',
+        show_default=False,
+        help="Limit of a sensor that is not a machine's metal, such as bed:rate_max:0.7; repeat "
+        'for more. Limits: range_low, range_high [degC], rate_max [K/s].',
     ),
 ]
 

@@ -65,6 +65,32 @@ def check_shapes(owner: object, **shapes: tuple[int, ...]) -> None:
             )
 
 
+NUMBER_MAX = 1e12
+"""Largest number that an array of a fitted model may hold, in SI units: sums of products of a few
+such numbers stay finite, and what training finds is smaller by many orders."""
+
+LENGTH_MIN = 1e-9
+"""Smallest length by which a fitted model divides, in the units of its inputs."""
+
+
+def check_bounds(owner: object, **bounds: tuple[float, float]) -> None:
+    """Refuse numbers beyond their bounds, which are allowed themselves.
+
+    Raises
+    ------
+    ValueError
+        The message names the number, or the array, its bounds and the first value beyond.
+    """
+    for name, (low, high) in bounds.items():
+        values = np.asarray(getattr(owner, name))
+        beyond = ~((values >= low) & (values <= high))
+        if beyond.any():
+            raise ValueError(
+                f'{name}: expected numbers from {low:g} to {high:g}, but found '
+                f'{values[beyond].flat[0]:g}'
+            )
+
+
 def dot_products(first: Array, second: Array) -> Array:
     """Return the products of vectors along the last axis, summed, to the digit as numpy's `sum`.
 

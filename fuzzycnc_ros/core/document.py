@@ -3,6 +3,8 @@
 """Reading of JSON documents that nothing is believed in: types, shapes, finiteness."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from math import isfinite
 from typing import Any, NoReturn
 
@@ -13,6 +15,10 @@ from fuzzycnc_ros.core.arrays import Array
 
 class ModelFileError(ValueError):
     """A document is no usable model file; the message says where and why."""
+
+
+NUMBER_LIMIT = 1e300
+"""Largest number of any document: what is computed of it would not be finite."""
 
 
 class Node:
@@ -62,22 +68,34 @@ class Node:
         """Return a list of texts."""
         return tuple(node.text() for node in self.list())
 
-    def number(self) -> float:
-        """Return a finite number; JSON's true and false are none."""
+    @contextmanager
+    def named(self) -> Iterator[None]:
+        """Say in a refusal of what is made of this value where the value stands."""
+        try:
+            yield
+        except ModelFileError:
+            raise
+        except ValueError as error:
+            raise ModelFileError(f'{self.where}: {error}') from error
+
+    def number(self, low: float = -NUMBER_LIMIT, high: float = NUMBER_LIMIT) -> float:
+        """Return a finite number within bounds; JSON's true and false are none."""
         if isinstance(self.value, bool) or not isinstance(self.value, (int, float)):
             self.refuse('a number')
         # A huge whole number would overflow the conversion.
-        if abs(self.value) > 1e300 or not isfinite(self.value):
+        if abs(self.value) > NUMBER_LIMIT or not isfinite(self.value):
             self.refuse('a finite number')
+        if not low <= self.value <= high:
+            self.refuse(f'a number from {low:g} to {high:g}')
         return float(self.value)
 
-    def numbers(self) -> tuple[float, ...]:
-        """Return a list of finite numbers."""
-        return tuple(node.number() for node in self.list())
+    def numbers(self, low: float = -NUMBER_LIMIT, high: float = NUMBER_LIMIT) -> tuple[float, ...]:
+        """Return a list of finite numbers within bounds."""
+        return tuple(node.number(low, high) for node in self.list())
 
-    def vector(self) -> Array:
-        """Return a list of finite numbers as an array."""
-        return np.array(self.numbers(), dtype=np.float64)
+    def vector(self, low: float = -NUMBER_LIMIT, high: float = NUMBER_LIMIT) -> Array:
+        """Return a list of finite numbers within bounds as an array."""
+        return np.array(self.numbers(low, high), dtype=np.float64)
 
     def boolean(self) -> bool:
         """Return true or false."""
@@ -85,34 +103,41 @@ class Node:
             self.refuse('true or false')
         return self.value
 
-    def numbers_or_infinite(self) -> Array:
-        """Return a list of numbers where null stands for infinity, which JSON has not."""
-        return np.array([np.inf if n.value is None else n.number() for n in self.list()])
+    def sizes_or_infinite(self) -> Array:
+        """Return a list of numbers of 0 or more; null stands for infinity, which JSON has not."""
+        sizes = (None if n.value is None else n.number(0.0) for n in self.list())
+        return np.array([np.inf if size is None else size for size in sizes])
 
-    def array(self, *lengths: int | None) -> Array:
-        """Return nested lists of finite numbers as an array.
+    def array(
+        self, *lengths: int | None, low: float = -NUMBER_LIMIT, high: float = NUMBER_LIMIT
+    ) -> Array:
+        """Return nested lists of finite numbers within bounds as an array.
 
         Parameters
         ----------
         lengths : int or None
             Length of each axis; None is any, of inner axes the one that comes first.
+        low, high : float
+            Bounds, which are allowed themselves.
         """
         length, *inner = lengths
         nodes = self.list()
         if length not in (None, len(nodes)):
             self.refuse(f'{length} {"rows" if inner else "numbers"}')
         if not inner:
-            return self.vector()
+            return self.vector(low, high)
         rows: list[Array] = []
         for node in nodes:
-            rows.append(node.array(*inner))
+            rows.append(node.array(*inner, low=low, high=high))
             inner = list(rows[0].shape)
         shape = [0 if size is None else size for size in inner]
         return np.array(rows, dtype=np.float64).reshape(len(rows), *shape)
 
-    def matrix(self, columns: int) -> Array:
+    def matrix(
+        self, columns: int, low: float = -NUMBER_LIMIT, high: float = NUMBER_LIMIT
+    ) -> Array:
         """Return a list of rows of `columns` finite numbers each; it may have no row."""
-        return self.array(None, columns)
+        return self.array(None, columns, low=low, high=high)
 
 
 def parse_document(text: str, what: str, size_max: int) -> Node:

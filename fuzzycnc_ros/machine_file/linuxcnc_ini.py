@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import re
+import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf, isfinite
@@ -20,6 +21,7 @@ _SECTION = re.compile(r'\[\s*([A-Za-z0-9_]+)\s*\]')
 _LENGTH: Mapping[str, float] = MappingProxyType(
     {'mm': 1e-3, 'metric': 1e-3, 'cm': 1e-2, 'inch': 25.4e-3, 'in': 25.4e-3, 'imperial': 25.4e-3}
 )
+_NUMBER = re.compile(r'[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?', re.ASCII)
 _FAR = 100.0
 """Travel beyond which a limit is none: LinuxCNC's own default is 1e99 [m]."""
 
@@ -71,7 +73,14 @@ def read_linuxcnc_ini(path: Path) -> LinuxcncLimits:
     axes: dict[str, dict[str, float]] = {}
     for letter in dict.fromkeys(letters):
         section = entries.get(f'AXIS_{letter}', {})
-        share = 1.0 - _number(path, section, 'OFFSET_AV_RATIO', 1.0).get('OFFSET_AV_RATIO', 0.0)
+        ratio = _number(path, section, 'OFFSET_AV_RATIO', 1.0).get('OFFSET_AV_RATIO', 0.0)
+        if not 0.0 <= ratio < 1.0:
+            text, line = section['OFFSET_AV_RATIO']
+            raise ValueError(
+                f'{path}: line {line}: OFFSET_AV_RATIO: expected a share from 0 to below 1 but '
+                f'found {text!r}'
+            )
+        share = 1.0 - ratio
         found = {
             'velocity': _number(path, section, 'MAX_VELOCITY', unit * share),
             'acceleration': _number(path, section, 'MAX_ACCELERATION', unit * share),
@@ -102,14 +111,18 @@ def _near(value: float) -> bool:
 def _entries(path: Path) -> dict[str, dict[str, tuple[str, int]]]:
     """Return entries and their lines by section; the first of several with one name counts."""
     try:
-        if path.stat().st_size > SIZE_MAX:
-            raise ValueError(f'{path}: expected a LinuxCNC configuration of at most 1 MB')
+        status = path.stat()
+        # A pipe would be waited for; an endless device has no size.
+        if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)) or (
+            status.st_size > SIZE_MAX
+        ):
+            raise ValueError(f'{path}: expected a LinuxCNC configuration, a file of at most 1 MB')
         text = path.read_text(encoding='utf-8', errors='replace')
     except OSError as error:
         raise ValueError(os_sentence(error, path)) from error
     found: dict[str, dict[str, tuple[str, int]]] = {}
     section: dict[str, tuple[str, int]] = {}
-    for number, raw in enumerate(text.splitlines(), 1):
+    for number, raw in enumerate(text.split('\n'), 1):  # no other mark ends a line of LinuxCNC's
         line = raw.strip()
         if not line or line[0] in '#;':
             continue
@@ -129,10 +142,8 @@ def _number(
     if name not in section:
         return {}
     text, line = section[name]
-    try:
-        value = float(text) * unit
-    except ValueError:
-        value = inf
+    # Python alone takes 5_0, and digits of other scripts.
+    value = float(text) * unit if _NUMBER.fullmatch(text) else inf
     if not isfinite(value):
         raise ValueError(f'{path}: line {line}: {name}: expected a number but found {text!r}')
     return {name: value}

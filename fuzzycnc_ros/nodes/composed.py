@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.bring_up import TOOLS
 from fuzzycnc_ros.ros.processes import end
 from fuzzycnc_ros.ros.run import tell_error
+from fuzzycnc_ros.ros.streams import steady_streams
 
 _MACHINE = 'simulated_machine'
 
@@ -29,8 +31,7 @@ def run_composed(names: Sequence[str], ros_arguments: Sequence[str]) -> int:
         # Loaded on use: it brings all components, and with them 18 MiB, into every process.
         from fuzzycnc_ros.registry import COMPONENTS
 
-        tools = ('recorder', 'player', 'mqtt_publisher', 'mtconnect_adapter', 'opcua_server')
-        known = ', '.join((*COMPONENTS, *tools))
+        known = ', '.join((*COMPONENTS, *TOOLS))
         raise ValueError(f'expected nodes among {known} but found {", ".join(unknown) or "none"}')
     return run.run([make for make in makers.values() if make], ['composed', *ros_arguments])
 
@@ -51,6 +52,7 @@ def _maker(name: str) -> run.HostFactory | None:
 
 def main() -> None:
     """Run the nodes that the command line names."""
+    steady_streams(output_matters=False)
     split = sys.argv.index('--ros-args') if '--ros-args' in sys.argv else len(sys.argv)
     try:
         code = run_composed(sys.argv[1:split], sys.argv[split:])

@@ -30,7 +30,7 @@ from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.run import tell_error
 from fuzzycnc_ros.runtime.addresses import is_loopback
 from fuzzycnc_ros.runtime.component import Health, Level
-from fuzzycnc_ros.runtime.host import DashboardConfig
+from fuzzycnc_ros.runtime.host import OWN_FOLDER, DashboardConfig
 from fuzzycnc_ros.runtime.records import nanoseconds
 
 if TYPE_CHECKING:
@@ -45,7 +45,6 @@ SOONEST = 0.3
 """Part of the interval after which new data are shown, though a view was shown before them."""
 ANSWERED = 10.0
 """Wall time [s] that a page waits for a stretch of history."""
-OWN_FOLDER = '~/.fuzzycnc/dashboard'
 
 
 @dataclass(frozen=True)
@@ -249,6 +248,7 @@ class DashboardNode:
                 'machines': sorted(self._watch.machines),
                 'writable': True,
                 'needs_token': self._token,
+                'recordable': bool(self._config.bags),
                 'interval': self._config.interval,
             }
         )

@@ -15,7 +15,7 @@ from rclpy.parameter import Parameter
 from fuzzycnc_ros.components.soft.deformation_compensator import (
     DeformationCompensator,
 )
-from fuzzycnc_ros.core.deformation import model, offset_file
+from fuzzycnc_ros.core.deformation import soft_model
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.lifecycle import ManagedComponentNode
 from fuzzycnc_ros.ros.parameters import ParameterError, changed, file_text, refusal
@@ -23,8 +23,8 @@ from fuzzycnc_ros.runtime.component import Answer
 
 Request = Callable[[str, Mapping[str, Any]], Answer]
 
-FILES = {'model': model.MODEL_SIZE_MAX, 'offsets': offset_file.OFFSETS_SIZE_MAX}
-"""Parameters that name files, and how long these may be [characters]."""
+FILES = ('model', 'offsets')
+"""Parameters that name files."""
 
 
 class DeformationCompensatorNode(ManagedComponentNode):
@@ -88,7 +88,7 @@ def use_files(component: DeformationCompensator, request: Request | None = None)
 def _load(name: str, file: str, request: Request) -> str:
     """Put a file to use, none if its name is empty; return what is wrong with it."""
     try:
-        text = file_text(file, FILES[name]) if file else ''
+        text = file_text(file, soft_model.SOFT_FILE_MAX) if file else ''
     except ValueError as error:
         return f'{file}: {error}'
     answer = request(f'use_{name}', {name: text})

@@ -9,7 +9,7 @@ from rclpy.node import Node
 
 from fuzzycnc_ros.adapters.mtconnect.shdr_server import ShdrServer
 from fuzzycnc_ros.adapters.report_node import ReportNode
-from fuzzycnc_ros.bags.atomic import write_text
+from fuzzycnc_ros.bags.atomic import write_regular
 from fuzzycnc_ros.components.report.shdr import Shdr
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.runtime.component import Health, Level
@@ -52,9 +52,9 @@ class MtconnectAdapterNode(ReportNode[MtconnectAdapterConfig]):
         text = self._shdr.devices()
         log = self.node.get_logger()
         try:
-            if path.exists() and path.read_text() == text:
+            if path.is_file() and path.read_text() == text:
                 return
-            write_text(path, text)
+            write_regular(path, text)
         except (OSError, UnicodeDecodeError) as error:
             self._trouble = f'devices_file {path} cannot be written ({error})'
             log.warning(self._trouble)

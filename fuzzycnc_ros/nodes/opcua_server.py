@@ -8,6 +8,7 @@ from typing import Any
 from rclpy.node import Node
 
 from fuzzycnc_ros.adapters.report_node import ReportNode
+from fuzzycnc_ros.bags.secret_file import check_secret
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.runtime.addresses import is_loopback
@@ -39,6 +40,10 @@ class OpcuaServerNode(ReportNode[OpcuaServerConfig]):
             from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
 
             paths = {name: Path(value).expanduser() for name, value in files.items()}
+            try:
+                check_secret(paths['private_key'], 'private_key')
+            except (OSError, ValueError) as error:
+                raise ParameterError(str(error)) from error
             entry = Entry(
                 paths['certificate'],
                 paths['private_key'],

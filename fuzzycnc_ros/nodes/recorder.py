@@ -10,7 +10,7 @@ import re
 import struct
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -93,6 +93,7 @@ class RecorderNode(PlainNode[RecorderConfig]):
         self._holes: dict[str, HoleCounter] = {}
         self._publishers: dict[str, int] = {}  # of each topic, at the last look
         self._left: Counter[str] = Counter()  # publishers that ended, by topic
+        self._seen: dict[str, frozenset[str]] = {}  # nodes that published, by topic
         with bag_refused():
             writer = BagWriter(
                 config.output,
@@ -152,6 +153,7 @@ class RecorderNode(PlainNode[RecorderConfig]):
         self.turns = None  # there is nobody to answer any more
         self._take_the_rest()
         self._look_who_left()
+        self._look_who_publishes()
         facts = self._facts()
         try:
             progress = self._thread.close(facts)
@@ -190,7 +192,11 @@ class RecorderNode(PlainNode[RecorderConfig]):
 
     def _facts(self) -> dict[str, Any]:
         """Return what the bag says beside the counts of its messages."""
-        return {'holes': self._found_holes(), 'publishers_left': dict(self._left)}
+        return {
+            'holes': self._found_holes(),
+            'publishers': {topic: sorted(nodes) for topic, nodes in tuple(self._seen.items())},
+            'publishers_left': dict(self._left),
+        }
 
     def _look_who_left(self) -> None:
         """Count publishers that have ended; in lock-step turns see to it that all has come."""
@@ -201,6 +207,12 @@ class RecorderNode(PlainNode[RecorderConfig]):
             if gone := max(0, self._publishers.get(topic, 0) - count):
                 self._left[topic] += gone
             self._publishers[topic] = count
+
+    def _look_who_publishes(self) -> None:
+        """Note the nodes behind each topic, so that a replay knows what others wrote."""
+        for topic, subscription in self._subscriptions.items():
+            if int(subscription.get_publisher_count()) != len(self._seen[topic]):
+                self._seen[topic] |= _nodes(self.node.get_publishers_info_by_topic(topic))
 
     def _wanted(self, topic: str) -> bool:
         return bool(self._include.search(topic)) and not self._exclude.search(topic)
@@ -262,6 +274,7 @@ class RecorderNode(PlainNode[RecorderConfig]):
             self._take(topic, payload, info, stamped, message.node)
             self._attach_model(message)
 
+        self._seen[topic] = _nodes(publishers)
         self._subscriptions[topic] = create_subscription(
             self.node, types[0], topic, on_message, profile, raw=True
         )
@@ -337,6 +350,7 @@ class RecorderNode(PlainNode[RecorderConfig]):
         self._progress.publish(encode(record, RCLPY))
 
     def _report(self) -> None:
+        self._look_who_publishes()
         progress = self._thread.progress()
         self._publish_progress(progress, self._newest or self._clock_now())
         self._tell_notices()
@@ -383,6 +397,12 @@ class RecorderNode(PlainNode[RecorderConfig]):
                 logger.error(text)
             else:
                 logger.info(text)
+
+
+def _nodes(publishers: Iterable[Any]) -> frozenset[str]:
+    """Return the full names of the nodes of publishers; discovery tells some of them late."""
+    known = (item for item in publishers if not item.node_name.startswith('_NODE_NAME_UNKNOWN'))
+    return frozenset(f'{item.node_namespace.rstrip("/")}/{item.node_name}' for item in known)
 
 
 def _told_left(left: Mapping[str, int]) -> str:

@@ -3,6 +3,7 @@
 """Node `temperature_acquisition`: drivers bring readings, the component checks and averages."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 from rclpy.node import Node
@@ -10,6 +11,7 @@ from sensor_msgs.msg import Temperature
 
 from fuzzycnc_msgs.srv import SetThermalReference
 from fuzzycnc_ros.adapters.readings.open_source import open_source
+from fuzzycnc_ros.adapters.readings.source import Source
 from fuzzycnc_ros.components.thermal.temperature_acquisition import (
     TemperatureAcquisition,
 )
@@ -36,8 +38,18 @@ class TemperatureAcquisitionNode(ComponentNode):
                 'sensor_readings; import a file with `fuzzycnc import-csv` and play the bag'
             )
         self._named: dict[str, Any] = {}
+        self._source = Source()
         self._source = open_source(node, config, self.component.frame('machine'))
+        if self._source.makes_time:
+            self._ahead_max = 0  # the next row of a file may be hours on
+        if own := self._source.sensor_limits:
+            limits = (*own, *config.sensor_limits)
+            self.component.reconfigure(replace(config, sensor_limits=limits))
         node.create_service(SetThermalReference, 'set_thermal_reference', self._on_reference)
+
+    def now(self) -> int:
+        """Return machine time [ns]: a file that is played may have its own."""
+        return self.merger.time if self._source.makes_time else super().now()
 
     def stop(self) -> None:
         """Release the driver, then the node."""

@@ -22,7 +22,7 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from fuzzycnc_msgs.action import TrainThermalModel
-from fuzzycnc_ros.bags.atomic import write_text
+from fuzzycnc_ros.bags.atomic import write_regular
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
@@ -207,7 +207,7 @@ class ThermalPredictorNode(ComponentNode):
         text = model.to_json()
         if file:
             try:
-                write_text(Path(file).expanduser(), text)
+                write_regular(Path(file).expanduser(), text)
             except (OSError, RuntimeError) as error:  # the latter: a home folder nobody has
                 goal.abort()
                 message = f'file: {file}: {getattr(error, "strerror", error)}'

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from itertools import pairwise
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import rclpy
 import yaml
@@ -16,6 +15,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import LoggingSeverity, get_logger_level, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 
+from fuzzycnc_ros.ros.leftovers import TemporaryFolder
 from fuzzycnc_ros.ros.parameters import ParameterError
 
 MACHINE_FILE = '--machine-file'
@@ -34,9 +34,9 @@ def initialise(arguments: Sequence[str] | None) -> None:
     ParameterError
         If they are not understood; the text says which.
     """
-    with TemporaryDirectory(prefix='fuzzycnc-') as folder:
+    with TemporaryFolder() as folder:
         given = sys.argv if arguments is None else arguments
-        with understood(with_machine(given, Path(folder))) as words:
+        with understood(with_machine(given, folder)) as words:
             rclpy.init(args=words, signal_handler_options=SignalHandlerOptions.NO)
 
 
@@ -90,9 +90,7 @@ def understood(arguments: Sequence[str]) -> Iterator[list[str]]:
         If what is done with them finds that they are not understood.
     """
     with ExitStack() as stack:
-        words = quoted(
-            arguments, lambda: stack.enter_context(TemporaryDirectory(prefix='fuzzycnc-'))
-        )
+        words = quoted(arguments, lambda: stack.enter_context(TemporaryFolder()))
         # It would tell the same in words of its own.
         set_logger_level('rcl', LoggingSeverity.FATAL)
         try:
@@ -111,7 +109,7 @@ def understood(arguments: Sequence[str]) -> Iterator[list[str]]:
                 set_logger_level('rcl', LoggingSeverity.UNSET)
 
 
-def quoted(arguments: Sequence[str], new_folder: Callable[[], str]) -> list[str]:
+def quoted(arguments: Sequence[str], new_folder: Callable[[], Path]) -> list[str]:
     """Return ROS arguments with bare names in lists of parameters in quotes.
 
     Parameters
@@ -134,7 +132,7 @@ def quoted(arguments: Sequence[str], new_folder: Callable[[], str]) -> list[str]
                 continue  # rcl says what is wrong with it
             after = quoted_yaml(before)
             if after != before:
-                copy = Path(new_folder(), Path(value).name)
+                copy = new_folder() / Path(value).name
                 copy.write_text(after, encoding='utf-8')
                 words[place] = str(copy)
     return words

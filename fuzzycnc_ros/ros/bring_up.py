@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from fuzzycnc_ros.core.names import file_word
+from fuzzycnc_ros.ros.parameter_files import Section, parameter_files, sections, unread
 from fuzzycnc_ros.ros.presence import BODY, MACHINE, RIVALS, TIME_SOURCES, GraphError
 
 BANNER = (
@@ -22,6 +23,8 @@ MOVERS = frozenset({'feedrate_scheduler', 'joint_trajectory_bridge'})
 """Nodes that publish `trajectory`; in lock-step a topic has one writer."""
 THERMAL = ('temperature_acquisition', 'sensor_selector', 'thermal_predictor', 'compensator')
 """Nodes of thermal compensation."""
+TOOLS = ('recorder', 'player', 'mqtt_publisher', 'mtconnect_adapter', 'opcua_server')
+"""Nodes of a machine without a component."""
 PAGE = 'dashboard'
 """Serves the live page of all machines; nobody waits for it, and it may fail alone."""
 ACTIVE_TIMEOUT = 20.0
@@ -137,7 +140,7 @@ def node_specs(
             NodeSpec('recorder', dict(common, output=str(record), **(recorder_parameters or {})))
         )
     elif 'recorder' in wanted:
-        raise GraphError('nodes: recorder needs a bag to write; name it with --record')
+        raise GraphError('nodes: recorder needs a bag to write; name it (`fuzzycnc up --record`)')
     if BODY in wanted:
         specs.append(NodeSpec(BODY, {'nodes': [spec.name for spec in specs]}))
     if simulated:
@@ -152,34 +155,30 @@ def node_specs(
     return specs
 
 
-def page_spec(port: int, record: Path | None = None) -> NodeSpec:
+def known_nodes() -> tuple[str, ...]:
+    """Return the names of all nodes that parameter files can be for."""
+    from fuzzycnc_ros.registry import COMPONENTS
+
+    return (*COMPONENTS, *TOOLS, PAGE)
+
+
+def page_spec(
+    port: int | None, record: Path | None = None, read: Sequence[Section] = ()
+) -> NodeSpec:
     """Return the node of the live page, which stands outside of all machines.
 
     Parameters
     ----------
-    port : int
-        Port to serve it at.
+    port : int, optional
+        Port to serve it at; its parameter where that is left out.
     record : Path, optional
-        Bag of the run; those beside it are offered on the page.
+        Bag of the run; those beside it are offered on the page unless a file names a folder.
+    read : sequence of Section
+        What parameter files say.
     """
-    bags = {} if record is None else {'bags': str(record.absolute().parent)}
-    return NodeSpec(PAGE, {'port': port, **bags})
-
-
-def parameter_files(folder: Path | None, named: str = '') -> list[Path]:
-    """Return the parameter files of a folder; none without one.
-
-    Raises
-    ------
-    GraphError
-        If there are none in it; the text names the folder, after `named`.
-    """
-    if folder is None:
-        return []
-    files = sorted(folder.glob('*.yaml'))
-    if not files:
-        raise GraphError(f'{named}{folder}: expected files <node>.yaml but found none')
-    return files
+    named = any('bags' in part.names for part in read if part.reaches(f'/{PAGE}'))
+    bags = {} if record is None or named else {'bags': str(record.absolute().parent)}
+    return NodeSpec(PAGE, bags if port is None else {'port': port, **bags})
 
 
 @dataclass(frozen=True)
@@ -392,6 +391,7 @@ def launched(given: Mapping[str, str], params: Path, log: Path) -> list[Launched
         raise GraphError('machine: expected a name but found none')
     folder = Path(given['params_dir']) if given['params_dir'] else None
     files = parameter_files(folder, 'params_dir: ')
+    page_sections = sections(files)
     simulated = given['simulated'] == 'true'
     nodes = [*(_words(given['nodes']) or THERMAL)]
     nodes += [node for name, node in ADDED.items() if given[name] == 'true']
@@ -431,9 +431,15 @@ def launched(given: Mapping[str, str], params: Path, log: Path) -> list[Launched
             items.append(Launched(machine, spec, tuple(read), clock_remapping(machines)))
     if given['page']:
         bag = Path(given['record']) if given['record'] else None
-        page = page_spec(_port(given['page']), bag)
+        page = page_spec(_port(given['page']), bag, page_sections)
         items.append(Launched('', page, tuple(files or [params / f'{PAGE}.yaml']), ()))
     return items
+
+
+def unread_by(items: Sequence[Launched], folder: Path) -> list[str]:
+    """Say which parameters in a folder no node reads that is launched, as `unread` does."""
+    nodes = [f'/{item.machine}/{item.spec.name}'.replace('//', '/') for item in items]
+    return unread(folder, sections(parameter_files(folder)), nodes, known_nodes())
 
 
 def _port(text: str) -> int:

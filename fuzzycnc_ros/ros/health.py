@@ -16,8 +16,11 @@ from fuzzycnc_ros.runtime.records import SECOND
 LATE_FACTOR = 3.0
 """An input is late when it is silent for this many of its own intervals: slow is not late."""
 
-REMEMBERED = 3600.0
-"""Machine time [s] for which messages that were dropped or late are a warning."""
+RECOVERED = 10.0
+"""An input whose messages were dropped or late is in order again after this many of its own
+intervals in time."""
+RECOVERED_MIN, RECOVERED_MAX = 60.0, 3600.0
+"""Shortest and longest machine time [s] for that."""
 
 
 def input_health(merger: Merger, now: int) -> list[Health]:
@@ -51,16 +54,18 @@ def input_health(merger: Merger, now: int) -> list[Health]:
             continue
         age = (now - count.newest) / SECOND
         usual = count.interval / SECOND
-        if usual > 0.0 and age > LATE_FACTOR * usual:
+        expected = declared.paced and not (count.last is not None and count.last.final)
+        recovery = min(max(RECOVERED * usual, RECOVERED_MIN), RECOVERED_MAX)
+        if expected and usual > 0.0 and age > LATE_FACTOR * usual:
             assert count.last is not None, 'it has a stamp'
             meaning = merger.component.silence(declared.name, count.last)
             level = Level.ERROR if meaning else Level.WARN
             text = f'late: newest is {age:.1f} s old, usual interval {usual:.1f} s'
             text += f'; {meaning}' if meaning else ''
             items.append(Health(declared.name, level, text, values))
-        elif count.amiss_at is not None and now - count.amiss_at < round(REMEMBERED * SECOND):
-            kinds = {'not newer than the one before': count.dropped, 'too late': count.late}
-            parts = [f'{number} {what}' for what, number in kinds.items() if number]
+        elif count.amiss_at is not None and now - count.amiss_at < round(recovery * SECOND):
+            kinds = {'out of order': count.dropped, 'late': count.late}
+            parts = [f'{number} {kind}' for kind, number in kinds.items() if number]
             text = f'messages since the start: {", ".join(parts)}'
             items.append(Health(declared.name, Level.WARN, text, values))
         else:

@@ -13,6 +13,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from fuzzycnc_ros.ros.host import ComponentNode
 from fuzzycnc_ros.runtime.component import Component
+from fuzzycnc_ros.runtime.host import FINALIZED, WAS_FINALIZED
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
@@ -44,8 +45,10 @@ class ManagedNode(LifecycleNode):
     def on_shutdown(self, state: LifecycleState) -> Any:
         """Let the component come to an end if it is active."""
         if state.label == 'active':
-            self._request('deactivate', 'finalized')
-        return self._announce('finalized')
+            self._request('deactivate', FINALIZED)
+        if self.host is not None:
+            self.host.troubles['lifecycle'] = WAS_FINALIZED
+        return self._announce(FINALIZED)
 
     def _announce(self, state: str) -> Any:
         if self.host is not None:

@@ -12,9 +12,11 @@ import re
 import subprocess
 import time
 from collections import deque
-from collections.abc import Awaitable, Callable, Mapping
-from concurrent.futures import Future
-from math import isfinite, nan
+from collections.abc import Callable, Coroutine, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from itertools import chain, count
+from math import nan
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -36,15 +38,22 @@ from fuzzycnc_ros.ros.recording import is_recorded, recorder_command
 from fuzzycnc_ros.ros.topics import RCLPY, create_publisher
 from fuzzycnc_ros.runtime.component import HISTORY, STREAM
 from fuzzycnc_ros.runtime.convert import encode
-from fuzzycnc_ros.runtime.host import NodeEvent
+from fuzzycnc_ros.runtime.host import FINALIZED, WAS_FINALIZED, NodeEvent
 from fuzzycnc_ros.runtime.provenance import machine_event
 
 T = TypeVar('T')
+
+Carry = Callable[[MachineView, Mapping[str, Any], str], Coroutine[Any, Any, str]]
+"""Carries out an action at a machine, told what was sent and by whom; returns what was done."""
 
 PATIENCE = 6.0
 """Wall time [s] until a node must be found."""
 ANSWERED = 10.0
 """Wall time [s] until it must have answered."""
+TAKEN_UP = 10.0
+"""The same for what the thread of the page's own node is to do."""
+CARRIED_OUT = 90.0
+"""The same for an action as a whole: longer than all of its waits together."""
 ASKED = 3
 """How often in that time it is asked what may be asked twice: a busy node drops the answer to a
 caller that it has not found yet."""
@@ -62,6 +71,20 @@ LENGTH_MAX = 1e-2
 _AXES = re.compile('[XYZABCUVW]')
 
 
+async def _in_time(work: 'Future[T]', trouble: str) -> T:
+    """Wait for what another thread does, but for no longer than `TAKEN_UP`.
+
+    Raises
+    ------
+    GraphError
+        If it is not done in time; it is left out if it has not begun by then.
+    """
+    try:
+        return await asyncio.wait_for(asyncio.wrap_future(work), TAKEN_UP)
+    except asyncio.TimeoutError:
+        raise GraphError(trouble) from None
+
+
 class NodeThread:
     """Have things done in the thread of a node."""
 
@@ -77,8 +100,18 @@ class NodeThread:
         return future
 
     async def do(self, job: Callable[[], T]) -> T:
-        """Have a job done, and wait for it."""
-        return await asyncio.wrap_future(self.ask(job))
+        """Have a job done, and wait for it.
+
+        Raises
+        ------
+        GraphError
+            If it is not done in time; it is left out if it has not begun by then.
+        """
+        return await _in_time(
+            self.ask(job),
+            f'dashboard itself did not get to it within {TAKEN_UP:g} s; try again, or use '
+            'fuzzycnc operate, and start the page anew if that goes on',
+        )
 
     def _work(self) -> None:
         while self._jobs:
@@ -107,8 +140,14 @@ class Actions:
         self.thread = NodeThread(node)
         self._events: dict[str, Any] = {}
         self._recorders: dict[str, tuple[subprocess.Popen[bytes], Path]] = {}
-        self._busy: set[str] = set()
-        self._carry: dict[str, Callable[[MachineView, Mapping[str, Any], str], Awaitable[str]]] = {
+        self._busy: dict[str, tuple[str, asyncio.Event]] = {}
+        """Machines at which an action is under way, which one, and what tells its end."""
+        self._off: set[str] = set()
+        """Machines that are being deactivated while an activation is under way."""
+        # Forking took forever once in hundreds of times: that must not hold up the node.  The
+        # kernel ends a process when the thread that started it is gone, so it is always this one.
+        self._starter = ThreadPoolExecutor(1, thread_name_prefix='recorders')
+        self._carry: dict[str, Carry] = {
             'reference': self._reference,
             'activate': self._activate,
             'deactivate': self._deactivate,
@@ -172,16 +211,50 @@ class Actions:
         by = body.get('by') or 'page'
         if not isinstance(by, str) or len(by) > NAME_MAX:
             raise GraphError(f'by: expected a name of at most {NAME_MAX} characters')
-        if view.machine in self._busy:
-            raise GraphError(f'{view.machine}: another action is under way; wait for its end')
-        self._busy.add(view.machine)
-        try:
-            says = await self._carry[action](view, body, by)
-        finally:
-            self._busy.discard(view.machine)
+        work = self._carry[action](view, body, by)
+        if action == 'deactivate':
+            says = await self._within(work, view.machine, action)
+        else:
+            says = await self._alone(work, view.machine, action)
         request = {**body, 'by': by, 'says': says}
         await self.thread.do(lambda: self._write_down(view, action, request))
         return says
+
+    async def _alone(self, work: Coroutine[Any, Any, str], machine: str, action: str) -> str:
+        """Carry out an action while no other is under way at its machine.
+
+        Raises
+        ------
+        GraphError
+            If one is, or the action is not carried out.
+        """
+        if machine in self._busy:
+            work.close()
+            raise GraphError(f'{machine}: another action is under way; wait for its end')
+        ended = asyncio.Event()
+        self._busy[machine] = action, ended
+        try:
+            return await self._within(work, machine, action)
+        finally:
+            del self._busy[machine]
+            self._off.discard(machine)
+            ended.set()
+
+    async def _within(self, work: Coroutine[Any, Any, str], machine: str, action: str) -> str:
+        """Carry out an action, but for no longer than `CARRIED_OUT`.
+
+        Raises
+        ------
+        GraphError
+            If it is not carried out.
+        """
+        try:
+            return await asyncio.wait_for(work, CARRIED_OUT)
+        except asyncio.TimeoutError:
+            raise GraphError(
+                f'{machine}: {action} did not end within {CARRIED_OUT:g} s; look at the log of '
+                'dashboard, and at the state of the machine before you try again'
+            ) from None
 
     def _write_down(self, view: MachineView, action: str, request: Mapping[str, Any]) -> None:
         """Publish what was done, by whom: so it is in the bag."""
@@ -213,8 +286,12 @@ class Actions:
         state = await self._lifecycle(view, node)
         if state == 'active':
             return f'{node} is active already'
+        if state == FINALIZED:
+            raise GraphError(f'{node} {WAS_FINALIZED}')
         if state == 'unconfigured':
             await self._transition(view, node, 'configure')
+        if view.machine in self._off:
+            raise GraphError(f'{node} is being deactivated; activate it again after that')
         await self._transition(view, node, 'activate')
         return f'{node} is active'
 
@@ -222,7 +299,14 @@ class Actions:
         node = body.get('node', ACTIVATED[0])
         if not isinstance(node, str) or node not in view.nodes:
             raise GraphError(f'node: expected one of {", ".join(sorted(view.nodes))}')
-        if await self._lifecycle(view, node) != 'active':
+        action, ended = self._busy.get(view.machine, ('', asyncio.Event()))
+        if action == 'activate':
+            # It is refused for nothing; but an activation that comes behind it would undo it.
+            self._off.add(view.machine)
+            with suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(ended.wait(), ANSWERED)
+        activating = action == 'activate' and not ended.is_set()
+        if not activating and await self._lifecycle(view, node) != 'active':
             return f'{node} is not active'
         await self._transition(view, node, 'deactivate')
         return f'{node} is inactive and goes on until it is at rest'
@@ -305,9 +389,11 @@ class Actions:
             raise GraphError('expected a folder for bags; set the parameter bags of dashboard')
         if self.recording(machine) is not None or 'recorder' in view.living_nodes:
             raise GraphError(f'{machine} is recorded already; stop that recording first')
-        name = f'{file_word(machine)}_{time.strftime("%Y%m%d_%H%M%S", time.gmtime())}'
-        bag = self._bags / name
-        process = await self.thread.do(lambda: self._start_recorder(machine, bag))
+        bag = _new_bag(self._bags, machine, time.time())
+        process = await _in_time(
+            self._starter.submit(self._start_recorder, machine, bag),
+            f'no recorder was started within {TAKEN_UP:g} s; look at the log of dashboard',
+        )
         # It records once it listens: what is done before that would be missing in the bag.
         await self._until(
             lambda: is_recorded(self._node, machine) or process.poll() is not None,
@@ -319,7 +405,6 @@ class Actions:
         return f'recording to {bag.name}'
 
     def _start_recorder(self, machine: str, bag: Path) -> subprocess.Popen[bytes]:
-        # By this thread: the kernel ends a process when the thread that started it is gone.
         bag.parent.mkdir(parents=True, exist_ok=True)
         process = subprocess.Popen(
             recorder_command(bag.absolute(), machine),
@@ -411,6 +496,14 @@ class NeedsForceError(GraphError):
     """It would be done if it were forced; the text says what that would do."""
 
 
+def _new_bag(folder: Path, machine: str, now: float) -> Path:
+    """Return a bag named after machine and time [s] to the millisecond that is not there yet."""
+    second = time.strftime('%Y%m%d_%H%M%S', time.gmtime(now))
+    name = f'{file_word(machine)}_{second}_{int(1e3 * (now % 1.0)):03d}'
+    numbers = (f'{name}_{number}' for number in count(2))
+    return next(folder / n for n in chain([name], numbers) if not (folder / n).exists())
+
+
 def _trouble(process: 'subprocess.Popen[bytes]', bag: Path) -> str:
     """Return in words that a recorder has failed, or what its bag lacks; empty if all is well."""
     if process.returncode:
@@ -426,7 +519,7 @@ def _trouble(process: 'subprocess.Popen[bytes]', bag: Path) -> str:
 
 def _is_length(value: Any) -> bool:
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return number and isfinite(value) and abs(value) <= LENGTH_MAX
+    return number and abs(value) <= LENGTH_MAX  # what is not finite is not below it
 
 
 def _displacements(values: Any) -> dict[str, float]:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """ROS parameters from a component's configuration record, declared once; files that they name."""
 
+import re
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, TypeVar, overload
@@ -23,6 +24,7 @@ B = TypeVar('B', bound=Config)
 
 CLOCK = 'use_sim_time'
 """Parameter of ROS by which a node chooses its clock."""
+_NUMBER = re.compile(r'[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?')
 KEEPS_ITS_CLOCK = (
     f'{CLOCK}: a running node keeps its clock, as all that it has taken is stamped by that; '
     'end the node and start it with the other one'
@@ -66,6 +68,7 @@ def declare(node: Node, *records: type[Config]) -> tuple[Config, ...]:
         raise ParameterError(
             f'unknown parameter {", ".join(unknown)}; expected one of {", ".join(sorted(known))}'
         )
+    node.add_pre_set_parameters_callback(lambda parameters: _as_declared(node, parameters))
     node.add_on_set_parameters_callback(lambda parameters: _keeps_clock(node, parameters))
     try:
         return tuple(record(**_declare_fields(node, record)) for record in records)
@@ -105,6 +108,45 @@ def _keeps_clock(node: Node, parameters: list[Parameter]) -> SetParametersResult
     return SetParametersResult(successful=True)
 
 
+def _as_declared(node: Node, parameters: list[Parameter]) -> list[Parameter]:
+    """Return parameters whose numbers have the type that they are declared with."""
+    return [
+        _in_doubles(item, node.get_parameter(item.name).type_)
+        if node.has_parameter(item.name)
+        else item
+        for item in parameters
+    ]
+
+
+def _in_doubles(parameter: Parameter, declared: Parameter.Type) -> Parameter:
+    """Return a parameter that is declared as double, or as a list of doubles, as such.
+
+    A whole number is what people type.  Text is what `ros2 param load` sends for 2e-05, and for a
+    list with such a number, though `ros2 param dump` has written both: YAML 1.1 has no number
+    without a point.
+    """
+    value = parameter.value
+    if declared is Parameter.Type.DOUBLE:
+        number = _number(value)
+        return parameter if number is None else Parameter(parameter.name, declared, number)
+    if declared is Parameter.Type.DOUBLE_ARRAY:
+        if isinstance(value, str):
+            listed = re.fullmatch(r'\s*\[(.*)\]\s*', value)
+            value = [item.strip() for item in listed[1].split(',')] if listed else ()
+        numbers = [_number(item) for item in value or ()]
+        if numbers and None not in numbers:
+            return Parameter(parameter.name, declared, numbers)
+    return parameter
+
+
+def _number(value: Any) -> float | None:
+    """Return a number, or a text that is one, as double; None of anything else."""
+    if isinstance(value, str):
+        return float(value) if _NUMBER.fullmatch(value) else None
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return float(value) if is_number else None
+
+
 def ros_value(value: Any) -> Any:
     """Return a record's value as a ROS parameter takes it.
 
@@ -126,17 +168,11 @@ def _declare_fields(node: Node, record: type[Config]) -> dict[str, Any]:
     for item in fields(record):
         default: Any = item.default
         try:
-            # A whole number for a double is what people type; rclpy would refuse to start.
-            override = node._parameter_overrides.get(item.name)
-            if (
-                override is not None
-                and isinstance(default, float)
-                and override.type_ is Parameter.Type.INTEGER
-            ):
-                node._parameter_overrides[item.name] = Parameter(
-                    item.name, Parameter.Type.DOUBLE, float(override.value)
-                )
             given = ros_value(default)
+            override = node._parameter_overrides.get(item.name)
+            if override is not None:
+                kind = Parameter.Type.from_parameter_value(given)
+                node._parameter_overrides[item.name] = _in_doubles(override, kind)
             value = node.declare_parameter(item.name, given, _descriptor(item)).value
         except InvalidParameterTypeException as error:
             raise ParameterError(f'parameter {item.name}: {error}{_remedy(item)}') from error

@@ -10,11 +10,13 @@ import ctypes
 import os
 import resource
 import signal
+import stat
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from types import FrameType
@@ -41,8 +43,8 @@ def prepare_environment() -> None:
     Raises
     ------
     ValueError
-        If `ROS_DOMAIN_ID` is no domain: the middleware would take another one, or say why not in
-        its own words.
+        If `ROS_DOMAIN_ID` is no domain, or `ROS_LOG_DIR` cannot be written: the middleware would
+        take another one, or say why not in its own words.
     """
     domain = os.environ.get('ROS_DOMAIN_ID', '').strip()
     if domain and not (domain.isascii() and domain.isdigit() and int(domain) <= DOMAIN_MAX):
@@ -50,9 +52,40 @@ def prepare_environment() -> None:
             f'ROS_DOMAIN_ID: expected a whole number from 0 to 101 (at most {DOMAIN_MAX}) but '
             f'found {domain!r}: set one that your shop uses, or unset it for 0'
         )
+    _choose_log_folder()
     os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(DISCOVERY_PROFILE))
     if not any(os.environ.get(name) for name in CHOSEN):
         os.environ[RANGE] = 'LOCALHOST'
+
+
+def _choose_log_folder() -> None:
+    """Have ROS write its logs into a temporary folder where it may not write into the home folder.
+
+    Raises
+    ------
+    ValueError
+        If the folder that somebody has chosen cannot be written.
+    """
+    chosen = os.environ.get('ROS_LOG_DIR', '')
+    home = os.environ.get('ROS_HOME') or '~/.ros'
+    folder = Path(chosen) if chosen else Path(home, 'log')
+    with suppress(RuntimeError):  # a home folder that nobody has
+        folder = folder.expanduser()
+    there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
+        return
+    if chosen:
+        raise ValueError(
+            f'ROS_LOG_DIR: expected a folder that can be written but found {chosen}; name '
+            'another one, or unset it'
+        )
+    own = Path(tempfile.gettempdir(), f'fuzzycnc-log-{os.geteuid()}')
+    with suppress(FileExistsError):
+        own.mkdir(mode=0o700)
+    status = own.lstat()
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.geteuid():  # somebody else's
+        own = Path(tempfile.mkdtemp(prefix='fuzzycnc-log-'))
+    os.environ['ROS_LOG_DIR'] = str(own)
 
 
 def open_to_network() -> None:
@@ -67,6 +100,8 @@ REFUSED = 2
 """What a node ends with that does not take its parameters: to start it again would be in vain."""
 ONE_WISH = 1.0
 """Wall time [s] within which signals are one wish: some senders signal a process and its group."""
+HANGS = 3.0
+"""Wall time [s] after which a wish that was put off is raised all the same."""
 EXITING = 3
 """Wall time [s] that the interpreter and libraries have for what they do at the process' exit."""
 AGAIN = 0.01
@@ -152,6 +187,23 @@ class Wish:
         self.number = 0
         self._heard_at = -ONE_WISH
         self._repeating = self._lost = False
+        self._put_off = False
+        self._reminder: threading.Timer | None = None
+
+    @contextmanager
+    def put_off(self) -> Iterator[None]:
+        """Raise no wish in the block, which looks at `number` itself, unless it hangs.
+
+        Middleware calls into Python, to make a message for instance, where an exception ends up as
+        another one, or as none.
+        """
+        self._put_off = True
+        try:
+            yield
+        finally:
+            self._put_off = False
+            if self._reminder is not None:
+                self._reminder.cancel()
 
     def hear(self, number: int, frame: FrameType | None) -> None:
         """Take a signal."""
@@ -161,8 +213,15 @@ class Wish:
         now = time.monotonic()
         again = now - self._heard_at < ONE_WISH
         self.number, self._heard_at = self.number or number, now
-        if not again:
+        if again:
+            return
+        if not self._put_off:
             interrupt()
+            return
+        self._put_off = False
+        self._reminder = threading.Timer(HANGS, os.kill, (os.getpid(), number))
+        self._reminder.daemon = True
+        self._reminder.start()
 
     def hear_again(self, lost: 'sys.UnraisableHookArgs') -> bool:
         """Repeat a wish whose exception was lost where none can be raised, as in a finaliser."""

@@ -35,6 +35,7 @@ from fuzzycnc_ros.ros.processes import (
     prepare_environment,
 )
 from fuzzycnc_ros.ros.service_manager import ServiceManager
+from fuzzycnc_ros.ros.streams import steady_streams
 from fuzzycnc_ros.uninterrupted import Interrupted, uninterrupted
 
 DELIVERING = 0.5
@@ -99,6 +100,7 @@ def main(make: HostFactory, arguments: Sequence[str] | None = None) -> None:
     on standard error if a parameter or argument is wrong, and with 1 and a line if it gets no more
     memory.
     """
+    steady_streams(output_matters=False)
     end(run([make], arguments))
 
 
@@ -142,26 +144,24 @@ def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: 
                 executor.add_node(host.node)
                 host.start()
             waking.enter_context(_woken_by_signals(executor))
-        while rclpy.ok() and not any(host.done for host in hosts):
-            executor.spin_once()
-            if wish.number:  # whoever called the callback did not pass on what was raised
-                break
-            # Every node has work to do each second, if only to say how it is.
-            manager.ready()
-            manager.pulse()
+        with wish.put_off():
+            while rclpy.ok() and not (wish.number or any(host.done for host in hosts)):
+                executor.spin_once()
+                # Every node has work to do each second, if only to say how it is.
+                manager.ready()
+                manager.pulse()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass  # the wish is carried out below
     except (ParameterError, GraphError) as error:
         tell_error(error)
         failed = REFUSED
-    except RuntimeError:
-        # A signal that arrives while the executor builds its wait set, or a message is made of
-        # what was received, ends up here.
-        if not wish.number:
-            raise
     except MemoryError:
         tell_error(_no_memory())
         failed = NO_MEMORY
+    except Exception:
+        # What became of a wish that was raised in a callback that hung.
+        if not wish.number:
+            raise
     finally:
         manager.stopping()
         for host in reversed(hosts):

@@ -2,11 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Persistent outputs: the newest record of each, kept on disk over a restart."""
 
-import os
 from pathlib import Path
 
 from rclpy.serialization import deserialize_message, serialize_message
 
+from fuzzycnc_ros.bags.atomic import write_text
 from fuzzycnc_ros.ros.topics import RCLPY, message_class
 from fuzzycnc_ros.runtime.component import Output
 from fuzzycnc_ros.runtime.convert import decode, encode
@@ -52,11 +52,9 @@ class StateDirectory:
         if self._path is None:
             return
         file = self._file(output)
-        temporary = file.with_suffix('.new')
         payload = f'{record.TYPE}\n'.encode() + serialize_message(encode(record, RCLPY))
         try:
-            temporary.write_bytes(payload)
-            os.replace(temporary, file)
+            write_text(file, payload)
         except OSError as error:
             raise StateFileError(f'{file}: {error.strerror}; state is not kept') from error
 

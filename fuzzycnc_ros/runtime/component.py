@@ -111,6 +111,9 @@ class Input(Generic[RecordT]):
     sole : bool
         Whether a machine depends on it, so that two nodes that publish it at once are both
         refused; the host tells the component by the request `sources`.
+    paced : bool
+        Whether records come at a pace, so that silence is a fault.  News, probes and commands of
+        a person come when there are some.
     """
 
     name: str
@@ -120,6 +123,7 @@ class Input(Generic[RecordT]):
     max_age: float = float('inf')
     quiet: bool = False
     sole: bool = False
+    paced: bool = True
 
 
 @dataclass(frozen=True)
@@ -257,7 +261,11 @@ class Component(Generic[ConfigT]):
         return fresh
 
     def restore(self, output: str, record: Record) -> None:
-        """Take back a persistent record that an earlier life of the component published."""
+        """Take back a record that the component published earlier.
+
+        That is a persistent one of an earlier life, or, in the replay of a bag that begins in the
+        middle of a recording, what it published first there.
+        """
 
     def silence(self, name: str, last: Record) -> str:
         """Say what it means that nothing came after `last`; empty if it is nothing but late."""

@@ -53,6 +53,15 @@ class DeadlineFired(Record):
     node: str
 
 
+FINALIZED = 'finalized'
+"""State of a managed node after a shutdown, in which it can do nothing any more but end."""
+WAS_FINALIZED = (
+    'was shut down for good; end its process to activate it again: fuzzycnc up and the launch '
+    'file start it anew, elsewhere start it yourself'
+)
+"""What is said of a node in that state, after its name."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NodeConfiguration(Record):
     """What a node runs with."""
@@ -301,6 +310,10 @@ class OpcuaServerConfig(ExecutorConfig):
         low=0.1,
         high=86400.0,
     )
+
+
+OWN_FOLDER = '~/.fuzzycnc/dashboard'
+"""Where the live page keeps its own token and certificate."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,6 +9,7 @@ from typing import Any
 
 from fuzzycnc_ros import __version__
 from fuzzycnc_ros.core.names import text_hash
+from fuzzycnc_ros.runtime.arithmetic import arithmetic
 from fuzzycnc_ros.runtime.component import Component
 from fuzzycnc_ros.runtime.host import NodeConfiguration, NodeEvent
 
@@ -32,7 +33,7 @@ def configuration_record(
         stamp=stamp,
         frame_id=component.frame('machine'),
         node=component.NAME,
-        version=__version__,
+        version=f'{__version__} {arithmetic()}',
         message_set=MESSAGE_SET,
         lifecycle_state=lifecycle_state,
         parameters=json.dumps(asdict(component.configuration), sort_keys=True),

@@ -14,6 +14,8 @@ from typing import Annotated, ClassVar, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.runtime.enums import CompensationState
+
 Stamp: TypeAlias = Annotated[int, 'time']
 """Machine time [ns]."""
 Floats: TypeAlias = NDArray[np.float64]
@@ -42,6 +44,11 @@ class Record:
 
     stamp: Stamp
     frame_id: str = ''
+
+    @property
+    def final(self) -> bool:
+        """True if its sender owes no further record: silence after it is no fault."""
+        return False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -157,6 +164,12 @@ class Compensation(Record):
     slewing: Bools
     valid_until: Stamp
     source: Names
+
+    @property
+    def final(self) -> bool:
+        """True once its owner has taken its offsets back, or rests without one."""
+        at_rest = self.state in (CompensationState.INACTIVE, CompensationState.EXPIRED)
+        return at_rest and not (self.offset.any() or self.slope.any())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -316,6 +329,11 @@ class Trajectory(Record):
     position: Floats
     velocity: Floats
     arc_length: Floats
+
+    @property
+    def final(self) -> bool:
+        """True for the part that ends the path."""
+        return self.last
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -9,6 +9,7 @@ here and to no others.
 import asyncio
 import json
 from collections.abc import Awaitable, Callable, Collection, Mapping
+from concurrent.futures import TimeoutError as FutureTimeoutError
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -179,7 +180,10 @@ async def _history(page: Page, request: Request) -> Response:
         document = page.machines.history(machine, series, begin, end, points)
         return json.dumps(document, allow_nan=False).encode()
 
-    return Response(await run_in_threadpool(text), media_type='application/json')
+    try:
+        return Response(await run_in_threadpool(text), media_type='application/json')
+    except FutureTimeoutError:
+        return refused(503, 'dashboard does not get to it; it is busy, or hangs')
 
 
 def _bounded(text: str) -> float:
@@ -246,6 +250,7 @@ async def _body(request: Request) -> dict[str, Any]:
     found = json.loads(text or b'{}')
     if not isinstance(found, dict):
         raise ValueError('found another value')
+    json.dumps(found, ensure_ascii=False).encode()  # a lone surrogate is no text
     return found
 
 

@@ -3,11 +3,18 @@
 """Connections of the page's server: few enough, and none that only holds its place."""
 
 import asyncio
+import re
 from typing import Any
 
+from uvicorn.config import Config
+from uvicorn.protocols.http import h11_impl
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
+h11: Any = h11_impl.h11
+"""The parser of HTTP that uvicorn brings along."""
+HEADERS_MAX = 16384
+"""Largest head of a request [bytes]."""
 SOCKETS_MAX = 400
 """Connections that are open at once; what comes then is closed unheard."""
 HEADERS_WITHIN = 5.0
@@ -20,11 +27,43 @@ LAST_WORDS = 2.0
 """Time [s] in which a client must take what it was sent before its socket was closed."""
 
 
+_TORN = re.compile(rb'(?<!\r)\n|\r(?!\n|\Z)|\n[ \t]')
+"""A line of a head that ends in another way than it should, or goes on in the next."""
+_FRAMING = (b'content-length', b'transfer-encoding')
+
+
+class StrictConnection(h11.Connection):
+    """A connection that refuses heads which others may read in another way.
+
+    A proxy before this server that takes another length of a body for the right one would let a
+    second request pass that it has not seen (RFC 9112, 6.1 and 11.2).
+    """
+
+    def next_event(self) -> Any:
+        """Return what comes next, as h11 does.
+
+        Raises
+        ------
+        RemoteProtocolError
+            If the head of a request can be read in two ways.
+        """
+        if self.their_state is h11.IDLE:
+            head, whole, _ = self.trailing_data[0].partition(b'\r\n\r\n')
+            names = [line.partition(b':')[0].strip().lower() for line in head.split(b'\r\n')[1:]]
+            if _TORN.search(head) or (whole and sum(name in _FRAMING for name in names) > 1):
+                raise h11.RemoteProtocolError('a head that can be read in two ways')
+        return super().next_event()
+
+
 class WatchedConnection(H11Protocol):
     """A connection that is closed if its client is slow to speak or to listen."""
 
     open = 0
     """How many there are in this process, WebSockets apart."""
+
+    def __init__(self, config: Config, *rest: Any, **more: Any) -> None:
+        super().__init__(config, *rest, **more)
+        self.conn = StrictConnection(h11.SERVER, HEADERS_MAX)
 
     def connection_made(self, transport: Any) -> None:
         """Take a connection, or close it where there are enough."""

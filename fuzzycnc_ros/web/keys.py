@@ -5,12 +5,14 @@
 import datetime
 import hashlib
 import ipaddress
-import os
 import re
 import secrets
 import socket
 import ssl
 from pathlib import Path
+
+from fuzzycnc_ros.bags.atomic import SECRET_FILE, write_text
+from fuzzycnc_ros.bags.secret_file import check_secret
 
 TOKEN_LEAST = 16
 """Characters that a token must have; its own ones have 43."""
@@ -45,15 +47,10 @@ def read_token(file: Path) -> str:
         If it cannot be read, is too short, or others may read it.
     """
     try:
-        mode = file.stat().st_mode & 0o777
+        _check_secret(file, 'token')
         text = file.read_text(encoding='ascii').strip()
     except (OSError, UnicodeError) as error:
         raise KeyFileError(f'token {file}: expected a readable text but found: {error}') from error
-    if mode & 0o077:
-        raise KeyFileError(
-            f'token {file}: expected a file that nobody else reads but found mode {mode:o}; '
-            f'say chmod 600 {file}'
-        )
     if len(text) < TOKEN_LEAST or not re.fullmatch(r'[\x21-\x7e]+', text):
         raise KeyFileError(
             f'token {file}: expected at least {TOKEN_LEAST} characters without spaces; delete '
@@ -104,10 +101,13 @@ def check_pair(certificate: Path, key: Path) -> None:
     Raises
     ------
     KeyFileError
-        If one cannot be read, or they do not belong together.
+        If one cannot be read, they do not belong together, or others may read the key.
     """
     try:
+        _check_secret(key, 'private_key')
         ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(certificate, key)
+    except KeyFileError:
+        raise
     except (OSError, ValueError) as error:  # an SSLError is an OSError
         raise KeyFileError(
             f'certificate {certificate} and private_key {key}: expected a pair in PEM but '
@@ -115,16 +115,25 @@ def check_pair(certificate: Path, key: Path) -> None:
         ) from error
 
 
+def _check_secret(file: Path, what: str) -> None:
+    """Refuse a secret file that others may read.
+
+    Raises
+    ------
+    KeyFileError
+        If they may.
+    """
+    try:
+        check_secret(file, what)
+    except ValueError as error:
+        raise KeyFileError(str(error)) from None
+
+
 def _write(file: Path, content: bytes) -> None:
     """Write a file that nobody else reads, whole or not at all."""
-    temporary = file.with_suffix('.new')
     try:
         file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        temporary.unlink(missing_ok=True)
-        handle = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with open(handle, 'wb') as opened:
-            opened.write(content)
-        os.replace(temporary, file)
+        write_text(file, content, SECRET_FILE)
     except OSError as error:
         raise KeyFileError(
             f'{file}: {error.strerror}; name a writable directory with state_directory'

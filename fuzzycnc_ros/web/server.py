@@ -20,8 +20,6 @@ from fuzzycnc_ros.web.live import Frames
 
 FRAME_MAX = 1024
 """Largest frame that a page may send [bytes]; it has nothing to say."""
-HEADERS_MAX = 16384
-"""Largest head of a request [bytes]."""
 WAITING = 128
 """Connections that the system holds until they are taken."""
 STOPPED_WITHIN = 5.0
@@ -86,7 +84,6 @@ class PageServer:
             access_log=False,
             proxy_headers=False,
             server_header=False,
-            h11_max_incomplete_event_size=HEADERS_MAX,
             timeout_graceful_shutdown=1,
             ssl_certfile=None if certificate is None else certificate[0],
             ssl_keyfile=None if certificate is None else certificate[1],

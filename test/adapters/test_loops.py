@@ -5,6 +5,7 @@
 import asyncio
 import contextlib
 import gc
+import inspect
 import socket
 import ssl
 import warnings
@@ -12,7 +13,7 @@ import warnings
 import pytest
 from equipment.certificates import certificate
 
-from fuzzycnc_ros.adapters.loops import ConnectionLoop
+from fuzzycnc_ros.adapters.loops import HELD_MAX, ConnectionLoop
 
 MUCH = 16 << 20
 """More bytes than a connection takes while nobody reads."""
@@ -128,3 +129,51 @@ def test_who_was_accepted_by_a_server_that_closes_is_dropped(tls):
         loop.close()
         gc.collect()
     assert not [str(item.message) for item in told]
+
+
+class Gathering(asyncio.Protocol):
+    """Gathers a message that has no end, as a library does that believes its length."""
+
+    def __init__(self, name):
+        self.name, self.most, self.lost = name, 0, asyncio.Event()
+        setattr(self, name, b'')
+
+    def connection_made(self, transport):
+        self.transport = transport
+
+    def data_received(self, data):
+        setattr(self, self.name, getattr(self, self.name) + data)
+        self.most = len(getattr(self, self.name))
+
+    def connection_lost(self, error):
+        self.lost.set()
+
+
+@pytest.mark.parametrize('name', ['receive_buffer', 'recv_buffer'])
+def test_a_message_without_end_is_not_gathered(name):
+    loop, made = ConnectionLoop(), Gathering(name)
+
+    async def flood(reader, writer):
+        with contextlib.suppress(ConnectionError):
+            while True:
+                writer.write(bytes(1 << 16))
+                await writer.drain()
+
+    async def scenario():
+        server = await asyncio.start_server(flood, '127.0.0.1', 0)
+        await loop.create_connection(lambda: made, *server.sockets[0].getsockname())
+        await made.lost.wait()
+
+    loop.run_until_complete(scenario())
+    loop.close()
+    assert HELD_MAX < made.most < 2 * HELD_MAX
+
+
+def test_the_libraries_hold_what_they_gather_where_it_is_looked_for():
+    pytest.importorskip('asyncua')
+    pytest.importorskip('pymodbus')
+    from asyncua.client.ua_client import UASocketProtocol
+    from pymodbus.transport import transport
+
+    assert 'self.receive_buffer = ' in inspect.getsource(UASocketProtocol)
+    assert 'self.recv_buffer = ' in inspect.getsource(transport)

@@ -2,21 +2,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """Doors for Python: data in, a model, a motion, a controller or a picture out."""
 
+import json
 import re
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import fuzzycnc_ros
 from fuzzycnc_ros import feedrate, servo, soft, thermal
-from fuzzycnc_ros.bags.csv_import import import_csv
-from fuzzycnc_ros.bags.csv_mapping import CsvMapping
+from fuzzycnc_ros.cli.foam.command import train
 from fuzzycnc_ros.core.feedrate.path.curves import infinity
 from fuzzycnc_ros.machine_file.reader import built_in_path
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
+from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
 from fuzzycnc_ros.simulation.thermal.duties import record_runs
+from fuzzycnc_ros.studies.soft.foam_records import COLUMNS
 
 
 @pytest.fixture(scope='module')
@@ -131,7 +135,7 @@ def test_an_axis_of_a_machine_file_arrives():
 
 
 def test_a_pattern_is_compensated_by_a_trained_model():
-    model = soft.train(*foam_samples(0), random_state=0)
+    model = soft.train(*foam_samples(0), method='ridge')
     line = soft.Primitive((0.02, 0.06), (0.12, 0.06), depth=0.006, step=0.003)
     found = soft.compensate([line], model, soft.SheetMaterial(0.02, size=(0.2, 0.12)))
     assert np.abs(found.offset).max() > 1e-4
@@ -139,30 +143,181 @@ def test_a_pattern_is_compensated_by_a_trained_model():
         soft.compensate([line], model, soft.SheetMaterial(0.02, size=(0.05, 0.12)))
 
 
-def test_the_page_runs_as_it_stands(runs, tmp_path, monkeypatch, root):
-    """Every block of docs/tutorials/python.md, on files and arrays of the names that it uses."""
-    pytest.importorskip('matplotlib', reason='matplotlib is not installed')
+def test_samples_in_other_units_are_refused_or_doubted():
+    x, s = foam_samples(0)
+    metres = x * [1.0, 1e-3, 1.0, 1e-3, 1e-3]
+    with pytest.raises(ValueError, match=r'x: depth_mm: expected millimetres .* multiply by 1000'):
+        soft.train(metres, s)
+    radians = x * [np.pi / 180.0, 1.0, 1.0, 1.0, 1.0]
+    with pytest.warns(UserWarning, match='multiply them by 57.29578 if they are radians'):
+        soft.train(radians, s, method='ridge')
+    with pytest.warns(UserWarning, match='multiply by 1000 if they are metres'):
+        soft.train(x, 1e-3 * s, method='ridge')
+    with pytest.raises(ValueError, match='one group for each of 265 rows'):
+        soft.train(x, s[:100])
+
+
+def test_a_door_trains_what_the_command_trains(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    lines = ['time,t1,t2,z']
-    for time, warm, moved in zip(
-        runs[0].time, runs[0].temperature, runs[0].displacement, strict=True
-    ):
-        lines.append(f'{time},{warm[0]:.4f},{warm[40]:.4f},{1e6 * moved[-1]:.4f}')
-    (tmp_path / 'monday.csv').write_text('\n'.join(lines) + '\n')
-    mapping = CsvMapping(temperatures=['t*'], displacements=['z=Z:um'])
-    (tmp_path / 'runs').mkdir()
-    import_csv(tmp_path / 'monday.csv', tmp_path / 'runs' / 'friday', mapping)
+    x, s = (part[::3].round(4) for part in foam_samples(2))
+    rows = [','.join(map(str, row)) for row in np.column_stack([x, s]).tolist()]
+    (tmp_path / 's.csv').write_text('\n'.join([','.join(COLUMNS), *rows]) + '\n')
+    train([Path('s.csv')], Path('m.json'), baselines=False, json_file=Path('j.json'))
+    if json.loads(Path('j.json').read_text())['outliers']:
+        with pytest.warns(UserWarning, match='contradict the others'):
+            model = soft.train(x, s, random_state=0)
+    else:
+        model = soft.train(x, s, random_state=0)
+    soft.save_model(model, 'mine.json')
+    assert Path('mine.json').read_text() == Path('m.json').read_text()
+
+
+def test_noise_gives_no_correction_and_a_warning():
+    x = foam_samples(0).x[::4]
+    noise = np.random.default_rng(0).normal(0.0, 1.0, (len(x), 2))
+    with pytest.warns(UserWarning, match='no correction: held-out samples show no deformation'):
+        model = soft.train(x, noise)
+    assert not model.corrects
+    points = np.column_stack([np.arange(0.02, 0.14, 0.003), np.full(40, 0.05)])
+    stitched = points + np.random.default_rng(1).normal(0.0, 1e-4, points.shape)
+    with pytest.warns(UserWarning, match='no correction: held-out stitches show'):
+        found = soft.learn(points, stitched, soft.SheetMaterial(0.015))
+    assert not found.offset.any()
+
+
+@pytest.mark.parametrize(
+    ('points', 'stitched', 'message'),
+    [
+        (1e3, 1e3, 'found them 3e.03 mm apart; are lengths millimetres, or metres'),
+        (1.0, 1e3, 'run 0: point 39: expected a stitch within 50 mm of its place'),
+    ],
+)
+def test_runs_in_other_units_are_refused(points, stitched, message):
+    course = np.column_stack([np.arange(0.02, 0.14, 0.003), np.full(40, 0.05)])
+    with pytest.raises(ValueError, match=message):
+        soft.learn(points * course, stitched * course, soft.SheetMaterial(0.015))
+
+
+def test_millimetres_are_doubted_by_schedule():
+    limits = feedrate.MotionLimits(path_velocity=0.2, path_acceleration=1.5)
+    options = {'machine_constant': 2e-4, 'limits': limits}
+    points = np.array([(0.0, 0.0), (10.0, 4.0), (20.0, 0.0), (30.0, -4.0), (40.0, 0.0)])
+    with pytest.warns(UserWarning, match=r'path: expected metres.* found 40 m; divide by 1000'):
+        feedrate.schedule(points, tolerance=20e-6, **options)
+    with pytest.warns(UserWarning, match=r'tolerance: expected metres.* found 0.02 m'):
+        feedrate.schedule(1e-3 * points, tolerance=0.02, **options)
+
+
+@pytest.mark.parametrize(
+    ('changes', 'message'),
+    [
+        ({'period': None}, r'expected period, the control period \[s\], but found none in Slide'),
+        ({'position': None}, r'expected position, the true position \[m\], but found none'),
+        ({'measure': None}, r'expected measure, a method that returns the measured position'),
+        ({'drive': None}, r'expected drive, a method that holds a duty, -1 to 1, for one period'),
+        ({'position': lambda self: 0.0}, r'position to be .*; make it a property'),
+        ({'measure': 0.0}, r'expected measure to be a method that .* but found 0.0 in Slide'),
+        ({'measure': lambda self: None}, r'expected measure\(\) to return a position .* None'),
+    ],
+)
+def test_an_axis_of_ones_own_is_told_what_it_lacks(changes, message):
+    members = {
+        'period': 1e-3, 'position': 0.0, 'measure': lambda self: 0.0,
+        'drive': lambda self, duty: None, **changes,
+    }  # fmt: skip
+    kept = {key: value for key, value in members.items() if value is not None}
+    controller = servo.controller(servo.read_axis('lathe', 'X'), 'pid')
+    with pytest.raises(TypeError, match=message):
+        servo.position(controller, type('Slide', (), kept)(), 1e-3, 0.5)
+
+
+def test_an_axis_is_identified_tuned_and_written(tmp_path):
+    plant = servo.simulated_axis(servo.read_axis('ballscrew', 'X'))
+    rng = np.random.default_rng(0)
+    duty = 0.5 * np.repeat(rng.uniform(-1.0, 1.0, 40), 50)
+    places = []
+    for value in duty:
+        places.append(plant.measure())
+        plant.drive(value)
+    axis = servo.identify(duty, places, plant.period)
+    tuned = servo.tune(axis, generations=1, population=1)
+    assert tuned.controller in servo.AXIS_CONTROLLERS
+    servo.save_axis(tuned, tmp_path / 'mine.yaml', 'X')
+    again = servo.read_axis(tmp_path / 'mine.yaml', 'X')
+    assert (again.controller, again.settings) == (tuned.controller, pytest.approx(tuned.settings))
+
+
+def test_a_thermal_model_is_saved_and_read(model, runs, tmp_path):
+    thermal.save_model(model, tmp_path / 'mill.json')
+    again = thermal.load_model(tmp_path / 'mill.json')
+    np.testing.assert_array_equal(again.predict(runs[1]), model.predict(runs[1]))
+
+
+def test_the_page_runs_as_it_stands(tmp_path, monkeypatch, root):
+    """Every block of docs/tutorials/python.md, in a copy of the examples."""
+    pytest.importorskip('matplotlib', reason='matplotlib is not installed')
+    shutil.copytree(root / 'examples', tmp_path, dirs_exist_ok=True, symlinks=True)
+    monkeypatch.chdir(tmp_path)
+    assert thermal.read_run('mill_warm_up').channel  # of the text, and no link out of the folder
     (tmp_path / 'mill.yaml').write_text(built_in_path('lathe').read_text())
     x, s = foam_samples(0)
-    names = {'points': infinity().sample(200, even=True), 'x': x, 's': s}
+    rows = 0.02 + 0.1 * np.linspace(0.0, 1.0, 34)
+    straight = np.column_stack([rows, np.full(34, 0.06)])
+    stitched = FoamSheet(0.02, (0.2, 0.12)).stitch(straight, 0.006)
+    names = {
+        'points': infinity().sample(200, even=True),
+        'x': x[::4],
+        's': s[::4],
+        'stitched': stitched,
+    }
     blocks = re.findall(
         r'^```python\n(.*?)^```',
         (root / 'docs' / 'tutorials' / 'python.md').read_text(),
         re.M | re.S,
     )
-    assert len(blocks) == 4
+    assert len(blocks) == 7
     for block in blocks:
         exec(compile(block, 'docs/tutorials/python.md', 'exec'), names)
-    assert (tmp_path / 'friday.png').stat().st_size > 10_000
+        if 'wednesday' in names and 'judged' not in names:  # another block has a model too
+            names['judged'] = thermal.evaluate(names['model'], names['wednesday'])
+    assert (tmp_path / 'wednesday.png').stat().st_size > 10_000
+    left = names['judged'].rms
+    assert (left['default'] < 0.3 * left['uncompensated']).all()
     assert names['samples'].position.shape[1] == 2
     assert abs(names['duty']) <= 1.0
+    assert names['mine'].position[-1] == pytest.approx(1e-3, abs=1e-4)
+    assert names['again'].offset[-1] == pytest.approx(0.7 * (straight - stitched)[-1], abs=1e-4)
+    assert type(soft.read_model('foam.json')) is soft.DeformationModel
+
+
+@pytest.mark.parametrize(
+    ('points', 'order'),
+    [
+        ([(0, 0), (0, 0), (0, 0), (4, 0), (8, 3)], 3),
+        ([(0, 0), (4, 0), (8, 3), (8, 3), (8, 3), (8, 3), (12, 0)], 4),
+        ([(0, 0), (4, 0), (8, 3), (8, 3), (8, 3)], 3),
+        ([(0, 0), (4, 0), (0, 0)], 3),
+        ([(0, 0, 1), (4, 0, 2), (4, 0, 2), (4, 0, 2), (8, 0, 1)], 3),
+    ],
+)
+def test_a_curve_that_stands_still_or_turns_back_has_a_motion(points, order):
+    control, count = 1e-3 * np.array(points), len(points)
+    inner = range(1, count - order + 1)
+    knot = [0] * order + [*inner] + [count - order + 1] * order
+    curve = feedrate.NurbsCurve(control, np.ones(count), knot, order - 1)
+    limits = feedrate.MotionLimits(path_velocity=0.2, path_acceleration=1.5)
+    motion = feedrate.schedule(curve, tolerance=1e-5, machine_constant=2e-4, limits=limits)
+    position = motion.sample(1e-3).position
+    assert position.shape[1] == control.shape[1]
+    assert np.isfinite(position).all()
+    assert motion.duration >= 2.0 * (curve.length / 1.5) ** 0.5 * (1.0 - 1e-6)
+
+
+def test_what_has_no_way_on_is_refused_by_its_name():
+    limits = feedrate.MotionLimits(path_velocity=0.2, path_acceleration=1.5)
+    options = {'tolerance': 1e-5, 'machine_constant': 2e-4, 'limits': limits}
+    with pytest.raises(ValueError, match='straight back on itself at point 1'):
+        feedrate.schedule([(0.0, 0.0), (0.01, 0.0), (0.0, 0.0)], **options)
+    point = feedrate.NurbsCurve([(0.0, 0.0)] * 3, np.ones(3), [0, 0, 0, 1, 1, 1], 2)
+    with pytest.raises(ValueError, match='path: expected a curve with a length'):
+        feedrate.schedule(point, **options)

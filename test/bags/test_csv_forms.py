@@ -3,17 +3,18 @@
 """CSV recordings as other programs write them: what is recognised, and which option is named."""
 
 import re
-from datetime import datetime, timedelta
+from datetime import datetime, timedelta, timezone
 
 import numpy as np
 import pytest
 
 from fuzzycnc_ros.bags.csv_import import import_csv
 from fuzzycnc_ros.bags.csv_mapping import CsvMapping
-from fuzzycnc_ros.bags.csv_table import KNOWN_FORMATS, known_forms, read_time, strptime_form
+from fuzzycnc_ros.bags.csv_time import known_forms, read_date, strptime_form, zone_of
 from fuzzycnc_ros.bags.errors import CsvError
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.runs import read_run
+from fuzzycnc_ros.studies.page.recorded import recording_facts
 
 COUNT = 120
 SECONDS = 60.0 * np.arange(COUNT)
@@ -51,6 +52,18 @@ GERMAN = {
     'displacements': ['Z [µm]=Z:um'],
     'decimal': ',',
 }
+
+
+OWN_ZONE = (
+    "times of 't' that name no zone read as UTC, the zone of this computer; --time-zone names "
+    'another'
+)
+
+
+@pytest.fixture(autouse=True)
+def in_utc(monkeypatch):
+    """Let this computer be in a zone that is known."""
+    monkeypatch.setenv('TZ', 'UTC')
 
 
 @pytest.fixture
@@ -105,6 +118,17 @@ def test_a_wrong_byte_is_placed(complaint):
     assert '--encoding latin-1, or else utf-16' in text
 
 
+@pytest.mark.parametrize('count', [1, 2, 5000])
+def test_zero_bytes_of_a_torn_write_are_placed(complaint, count):
+    text = table().encode()
+    place = text.index(b'\n', 400) + 3
+    line = text.count(b'\n', 0, place) + 1
+    found = complaint(text[:place] + bytes(count) + text[place:])
+    assert f'line {line}: expected text but found {count} zero bytes' in found
+    assert f'as byte {place}, as a torn write leaves them; delete what is damaged' in found
+    assert complaint(text + bytes(count)).endswith('delete what is damaged')
+
+
 def test_text_that_is_utf8_is_not_read_as_another_encoding(importing, complaint):
     text = complaint(german(), **GERMAN, encoding='cp1252')
     assert text.endswith('expected text in cp1252 but it is UTF-8; import without --encoding')
@@ -141,7 +165,7 @@ FORMS = (
 def test_usual_dates_are_recognised_and_said(importing, tmp_path, form):
     report = importing(table(clock(form, datetime(2026, 3, 25, 21, 30))))
     iso = form.startswith('%Y-')
-    assert report.remarks == (f"times of 't' read as {'iso8601' if iso else form}",)
+    assert report.remarks == (f"times of 't' read as {'iso8601' if iso else form}", OWN_ZONE)
     assert report.interval == 60.0
     with BagReader(tmp_path / 'bag') as reader:
         assert reader.start == 1774474200 * 10**9
@@ -188,12 +212,12 @@ def test_a_date_that_can_be_read_in_two_ways_is_asked_for(importing, complaint):
     text = complaint(table(times))
     assert "--time-format '%d/%m/%Y %H:%M:%S' or '%m/%d/%Y %H:%M:%S'" in text
     report = importing(table(times), time_format='%d/%m/%Y %H:%M:%S')
-    assert (report.remarks, report.interval) == ((), 60.0)
+    assert (report.remarks, report.interval) == ((OWN_ZONE,), 60.0)
 
 
 def test_the_other_way_is_said_where_it_makes_no_difference(importing):
     times = clock('%d/%m/%Y %H:%M', datetime(2026, 3, 4, 8, 30))
-    (remark,) = importing(table(times)).remarks
+    remark, _ = importing(table(times)).remarks
     assert 'read as %d/%m/%Y %H:%M, which could be %m/%d/%Y %H:%M: see --time-format' in remark
 
 
@@ -218,14 +242,174 @@ def test_other_forms_are_not(form):
         CsvMapping(time_format=form)
 
 
-def test_every_known_form_is_its_own():
-    date = datetime(2026, 12, 31, 13, 59, 58)
-    for form in KNOWN_FORMATS[1:]:
+DATES = [
+    *(sign.join(('%Y', '%m', '%d')) for sign in '-/._'),
+    *(sign.join(order) for sign in '-/' for order in (('%d', '%m', '%Y'), ('%m', '%d', '%y'))),
+    *('%d.%m.%Y', '%d.%m.%y', '%d %m %Y', '%y-%m-%d', '%d-%b-%Y', '%d %B %Y', '%Y%m%d'),
+]
+CLOCKS = [
+    *('%H:%M:%S', '%H:%M', '%H.%M.%S', '%H-%M-%S', '%H%M%S', '%I:%M:%S %p', '%I:%M:%S%p'),
+    *('%I:%M %p', '%H:%M:%SZ', '%H:%M:%S UTC', '%H:%M:%S%z'),
+]
+
+
+@pytest.mark.parametrize('join', [' ', '-', 'T', '_', ', ', '  ', ';'])
+def test_dates_and_times_of_usual_forms_are_recognised(join):
+    date = datetime(2026, 11, 29, 13, 59, 58, tzinfo=timezone.utc)
+    for form in (f'{day}{join}{clock}' for day in DATES for clock in CLOCKS):
         text = date.strftime(form)
-        assert form in known_forms([text])
-        assert date.strftime(form) == datetime.utcfromtimestamp(read_time(text, form)).strftime(
-            form
-        )
+        read = [read_date(text, known).replace(second=58) for known in known_forms([text])]
+        assert date.replace(tzinfo=None) in [item.replace(tzinfo=None) for item in read], text
+
+
+@pytest.mark.parametrize(
+    ('first', 'second'),
+    [
+        ('2021/06/13-05:42:16', '2021/06/13-05:43:16'),
+        ('2021.06.13_05.42.16,25', '2021.06.13_05.43.16,25'),
+        ('13.06.21 05:42:16.250', '13.06.21 05:43:16.250'),
+        ('13/Jun/2021:05:42:16 +0200', '13/Jun/2021:05:43:16 +0200'),
+        ('6/13/2021 5:42:16 a.m.', '6/13/2021 5:43:16 a.m.'),
+        ('06/13/21 05:42 PM', '06/13/21 05:43 PM'),
+        ('20210613054216', '20210613054316'),
+        ('20210613_054216', '20210613_054316'),
+        ('2021:06:13 05:42:16', '2021:06:13 05:43:16'),
+    ],
+)
+def test_one_way_to_read_a_date_is_taken(first, second):
+    form = known_forms([first])[0] if not first.isdigit() else '%Y%m%d%H%M%S'
+    begin, end = read_date(first, form), read_date(second, form)
+    assert (begin.year, begin.month, begin.day, begin.minute) == (2021, 6, 13, 42)
+    assert (end - begin).total_seconds() == 60.0
+
+
+@pytest.mark.parametrize('text', ['05.42', '2021', '13.13.2021 05:42', 'x', '12-13', '1:2:3:4'])
+def test_what_is_no_date_has_no_form(text):
+    assert known_forms([text]) == []
+
+
+def test_digits_that_are_dates_are_no_seconds(importing, tmp_path):
+    report = importing(table(clock('%Y%m%d%H%M%S')))
+    assert report.interval == 60.0
+    assert report.remarks[0].endswith(' read as %Y%m%d%H%M%S')
+    with BagReader(tmp_path / 'bag') as reader:
+        assert reader.start == 1773351000 * 10**9
+
+
+@pytest.mark.parametrize(
+    ('form', 'ways'),
+    [
+        ('%d-%m-%y %H:%M', ["'%d-%m-%y %H:%M'", "'%m-%d-%y %H:%M'", "'%y-%m-%d %H:%M'"]),
+        ('%m/%d/%Y, %I:%M %p', ["'%m/%d/%Y, %I:%M %p'", "'%d/%m/%Y, %I:%M %p'"]),
+    ],
+)
+def test_dates_of_several_readings_are_refused_by_name(complaint, form, ways):
+    text = complaint(table(clock(form, datetime(2011, 3, 11, 23, 30))))
+    assert text.endswith(f'say how: --time-format {" or ".join(ways)}')
+
+
+# Zones
+
+
+def started(folder):
+    with BagReader(folder / 'bag') as reader:
+        return reader.start / 1e9, reader.metadata.custom.get('time_zone')
+
+
+@pytest.mark.parametrize(
+    ('zone', 'name', 'hours'),
+    [
+        ('Europe/Berlin', 'Europe/Berlin', 1),
+        ('UTC', 'UTC', 0),
+        ('-05:00', 'UTC-05:00', -5),
+        ('Asia/Kolkata', 'Asia/Kolkata', 5.5),
+    ],
+)
+def test_a_local_time_is_of_the_zone_that_is_named(importing, tmp_path, zone, name, hours):
+    report = importing(table(clock('%Y-%m-%d %H:%M:%S')), time_zone=zone)
+    assert report.remarks[1] == f"times of 't' that name no zone read as {name}"
+    assert started(tmp_path) == (1773351000 - 3600 * hours, name)
+    facts = recording_facts([tmp_path / 'bag'])
+    assert facts['Recorded'] == f'2026-03-12 21:30 {name}'
+
+
+def test_a_local_time_is_of_the_zone_of_this_computer(importing, tmp_path, monkeypatch):
+    monkeypatch.setenv('TZ', 'America/New_York')
+    report = importing(table(clock('%Y-%m-%d %H:%M:%S')))
+    assert 'as America/New_York, the zone of this computer; --time-zone' in report.remarks[1]
+    assert started(tmp_path) == (1773351000 + 4 * 3600, 'America/New_York')
+
+
+def test_rules_without_a_name_count_too(monkeypatch):
+    monkeypatch.setenv('TZ', 'CET-1CEST,M3.5.0,M10.5.0/3')
+    zone = zone_of(None)
+    assert (zone.name, zone.rules) == ('CET-1CEST,M3.5.0,M10.5.0/3', None)
+
+
+@pytest.mark.parametrize('form', ['%Y-%m-%dT%H:%M:%S+00:00', '%d.%m.%Y %H:%M:%SZ'])
+def test_a_time_that_names_its_zone_keeps_it(importing, tmp_path, form):
+    report = importing(table(clock(form)), time_zone='Asia/Kolkata')
+    assert len(report.remarks) == 1
+    assert started(tmp_path) == (1773351000, None)
+
+
+def test_numbers_have_no_zone(importing, tmp_path):
+    assert importing(table(), time_zone='Asia/Kolkata').remarks == ()
+    assert started(tmp_path) == (1.0, None)
+
+
+def test_a_zone_that_nobody_knows_is_refused():
+    for name in ('Berlin', '', '/etc/passwd', '../UTC', '+25:00'):
+        with pytest.raises(CsvError, match=r'time_zone: expected a name of the IANA such as'):
+            CsvMapping(time_zone=name)
+
+
+BERLIN = {'time_zone': 'Europe/Berlin'}
+
+
+def test_the_hour_that_comes_twice_is_passed_twice(importing, tmp_path):
+    begin = datetime(2026, 10, 25, 1, 30)
+    local = [begin + timedelta(minutes=row) for row in range(COUNT)]
+    local = [date if row < 90 else date - timedelta(hours=1) for row, date in enumerate(local)]
+    importing(table([date.strftime('%d.%m.%Y %H:%M') for date in local]), **BERLIN)
+    np.testing.assert_array_equal(read_run(tmp_path / 'bag').time, SECONDS)
+    assert started(tmp_path)[0] == datetime(2026, 10, 24, 23, 30, tzinfo=timezone.utc).timestamp()
+
+
+@pytest.mark.parametrize(
+    ('begin', 'hour'),
+    [('25.10.2026 02:30', 1), ('25.10.2026 01:05', 23), ('29.03.2026 03:00', 1)],
+)
+def test_a_run_at_a_change_of_clocks_stays_even(importing, tmp_path, begin, hour):
+    step = 30.0 if hour == 23 else 60.0  # ends within the hour, or begins in it
+    begin = datetime.strptime(begin, '%d.%m.%Y %H:%M')
+    importing(table(clock('%d.%m.%Y %H:%M:%S', begin, step)), **BERLIN)
+    np.testing.assert_array_equal(read_run(tmp_path / 'bag').time, step / 60.0 * SECONDS)
+    assert datetime.fromtimestamp(started(tmp_path)[0], timezone.utc).hour == hour
+
+
+def test_an_hour_that_is_left_out_passes(importing, tmp_path):
+    local = [datetime(2026, 3, 29, 1, 30) + timedelta(minutes=row) for row in range(COUNT)]
+    local = [date if row < 30 else date + timedelta(hours=1) for row, date in enumerate(local)]
+    importing(table([date.strftime('%d.%m.%Y %H:%M') for date in local]), **BERLIN)
+    np.testing.assert_array_equal(read_run(tmp_path / 'bag').time, SECONDS)
+
+
+@pytest.mark.parametrize(
+    ('begin', 'line', 'found'),
+    [
+        (datetime(2026, 10, 25, 1, 30), 92, 'expected times that go back by an hour'),
+        (datetime(2026, 3, 29, 1, 30), 32, 'clocks leave out 2026-03-29 02:00:00'),
+    ],
+)
+def test_a_logger_without_summer_time_is_asked_for_its_offset(
+    importing, complaint, begin, line, found
+):
+    text = complaint(table(clock('%d.%m.%Y %H:%M', begin)), **BERLIN)
+    assert f"line {line}, column 't': expected" in text
+    assert found in text
+    assert text.endswith('name it with --time-zone, such as UTC or +01:00')
+    assert importing(table(clock('%d.%m.%Y %H:%M', begin)), time_zone='+01:00').interval == 60.0
 
 
 @pytest.mark.parametrize(
@@ -445,17 +629,48 @@ def test_temperatures_beyond_every_shop_name_the_option(complaint):
 
 
 def test_single_values_are_named_with_line_and_column(importing):
-    text = table(change=both(cell(50, 1, '85'), cell(80, 3, '-90'), cell(90, 2, '')))
+    text = table(change=both(cell(50, 1, '83'), cell(80, 3, '-90'), cell(90, 2, '')))
     doubts = importing(text).doubts
     assert len(doubts) == 2
-    assert "line 51, column 'a': 85 degC stands alone between 30." in doubts[0]
+    assert "line 51, column 'a': 83 degC stands alone between 30." in doubts[0]
     assert "line 81, column 'ch': -90 um stands alone between 2" in doubts[1]
     assert all(doubt.endswith('empty the cell') for doubt in doubts)
 
 
 def test_many_single_values_are_counted(importing):
-    text = table(change=both(*(cell(row, 1, '85') for row in range(10, 60, 10))))
+    text = table(change=both(*(cell(row, 1, '83') for row in range(10, 60, 10))))
     assert importing(text).doubts[-1].endswith('2 more values in degC stand alone like these')
+
+
+@pytest.mark.parametrize(
+    ('value', 'rows', 'meaning'),
+    [
+        ('85.000', (1,), 'what a DS18B20 says at power-on, before it has measured'),
+        ('0.000', (1, 2, 3, 4), 'what inputs say without a sensor'),
+        ('-127', (30,), 'what drivers of the DS18B20 say of a sensor that does not answer'),
+    ],
+)
+def test_a_value_that_is_no_reading_is_missing_and_said(importing, tmp_path, value, rows, meaning):
+    def change(cells):
+        for row in rows:
+            cells[row][1] = value
+
+    report = importing(table(change=change))
+    assert (report.missing, report.doubts) == (len(rows), ())
+    (remark,) = report.remarks
+    assert remark.endswith(f"column 'a': {float(value):g} is {meaning}; taken as missing")
+    read = np.isfinite(read_run(tmp_path / 'bag').temperature)
+    assert np.flatnonzero(~read[:, 0]).tolist() == [row - 1 for row in rows]
+    assert read[:, 1].all()
+
+
+def test_a_sensor_that_reads_nothing_else_is_doubted_where_nothing_else_tells(importing):
+    def change(cells):
+        for row in cells[1:]:
+            row[1] = '0'
+
+    (doubt,) = importing(table(change=change), temperatures=['a']).doubts
+    assert "column 'a': 0 throughout is what inputs say without a sensor; see whether" in doubt
 
 
 def test_dates_tell_their_own_unit(importing):

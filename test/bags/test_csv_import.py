@@ -67,7 +67,7 @@ def edited(place, text, count=20):
         (edited((5, 0), '20'), r"line 6, column 't': expected a time after 45 but found 20"),
         (edited((20, 0), '300'), r'line 21, .*a step of 30 s; import with --resample 15'),
         (edited((3, 0), '35'), r'line 4, .*even steps of 15 s but found a step of 20'),
-        (edited((5, 1), '400'), r"line 6, column 'a': expected -20 to 120 degC but found 400"),
+        (edited((5, 1), '390'), r"line 6, column 'a': expected -20 to 120 degC but found 390"),
         (edited((5, 3), '700'), r"line 6, column 'ch': .*up to 500 um but found 700 um; in nm"),
         ([*rows(), ['1', '2']], r'line 22: expected 4 columns as in the header but found 2'),
         ('t,a,b,ch\n"1' + '0' * 200_000 + '"', r'line 2: expected CSV but found field larger'),
@@ -339,6 +339,35 @@ def test_resampling_invents_nothing_in_gaps(importing, tmp_path):
     run = read_run(tmp_path / 'bag')
     assert np.flatnonzero(np.isnan(run.temperature[:, 0])).tolist() == list(range(20, 40))
     np.testing.assert_allclose(run.temperature[40:, 0], 20 + np.arange(40, 60) * 0.2, rtol=1e-9)
+
+
+def bursts(count=60):
+    """Return three readings 4 s apart, then none for 53 s, again and again."""
+    times = [61 * burst + second for burst in range(count) for second in (0, 4, 8)]
+    return [
+        ['t', 'a', 'b', 'ch'],
+        *([f'{t}', f'{20 + t / 1e3}', '21', f'{t / 1e2}'] for t in times),
+    ]
+
+
+def test_readings_in_bursts_become_samples_a_minute(importing, tmp_path):
+    options = {'time': 't', 'temperatures': ['a', 'b'], 'displacements': ['ch=Z:um']}
+    with pytest.raises(CsvError, match=r'found a step of 53 s; import with --resample 61$'):
+        importing(bursts(), CsvMapping(**options))
+    report = importing(bursts(), CsvMapping(**options, resample=60.0))
+    assert (report.samples, report.missing, report.doubts) == (60, 0, ())
+    run = read_run(tmp_path / 'bag')
+    np.testing.assert_allclose(
+        run.temperature[:, 0], 20 + (60 * np.arange(60) + 28) / 1e3, atol=3e-3
+    )
+    np.testing.assert_allclose(run.displacement[:, 0] * 1e8, 60 * np.arange(60) + 28, atol=3)
+
+
+def test_an_interval_that_keeps_bursts_and_loses_minutes_is_doubted(importing):
+    mapping = CsvMapping(time='t', temperatures=['a', 'b'], displacements=['ch=Z:um'], resample=4)
+    (doubt,) = importing(bursts(), mapping).doubts
+    assert '723 of 902 samples are without a reading' in doubt
+    assert doubt.endswith('as readings come every 61 s; import with --resample 61')
 
 
 def test_time_that_no_recording_lasts(importing):

@@ -3,6 +3,7 @@
 """Reading bags: bags of rosbag2 itself, bags that lie, hostile files."""
 
 import os
+import re
 import shutil
 import sqlite3
 import struct
@@ -159,6 +160,39 @@ def test_metadata_that_promises_more_is_refused(small_bag):
     with BagReader(small_bag, strict=False) as reader:
         assert len(list(reader.messages(raw=True))) == 400
         assert '301' in reader.problems[0]
+
+
+@pytest.mark.parametrize(
+    ('old', 'new', 'told'),
+    [
+        (r'^  message_count: \d+', '  message_count: 7', '7 messages in all but'),
+        (r'^    nanoseconds: \d+', '    nanoseconds: 5', '0.000000005 s as the duration of all'),
+        (
+            r'^    nanoseconds_since_epoch: \d+',
+            '    nanoseconds_since_epoch: 5',
+            '0.000000005 s as the beginning of all',
+        ),
+        (r'^    message_count: \d+(?=\n  custom)', '    message_count: 8', '8 messages in bag_0'),
+        (
+            r'^      nanoseconds: \d+',
+            '      nanoseconds: 6',
+            's as the duration of bag_0.mcap',
+        ),
+    ],
+)
+def test_metadata_whose_totals_and_times_are_wrong_is_told(small_bag, fuzzycnc, old, new, told):
+    file = small_bag / 'metadata.yaml'
+    text = file.read_text(encoding='utf-8')
+    with BagReader(small_bag) as reader:
+        assert not reader.problems
+    changed, count = re.subn(old, new, text, count=1, flags=re.MULTILINE)
+    assert count == 1
+    file.write_text(changed, encoding='utf-8')
+    with BagReader(small_bag) as reader:
+        assert len(list(reader.messages())) == reader.message_count
+        (problem,) = reader.problems
+    assert re.search(told, problem)
+    assert f'problem: {problem[:40]}' in fuzzycnc('info', small_bag).out
 
 
 def test_metadata_that_hides_a_topic_is_refused(small_bag):

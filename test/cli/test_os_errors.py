@@ -74,3 +74,30 @@ def test_outputs(refused, tmp_path):
         refused(*words, 'no/x.yaml', naming=['no/x.yaml', 'found no no', 'make it first'])
     name = 300 * 'x'
     refused('schema', 'machine', '--out', name, naming=[name, 'too long', 'a shorter one'])
+
+
+OUTPUTS = {
+    'schema': ['schema', 'machine', '--out'],
+    'a model of a machine': ['machine', 'new'],
+    'figures': ['machine', 'check', 'mill', '--json'],
+    'a program': ['schedule', 'part.ngc', '--tolerance', '0.01mm', '--out'],
+}
+
+
+@pytest.mark.parametrize('words', OUTPUTS.values(), ids=OUTPUTS)
+def test_what_is_no_regular_file_is_written_through(fuzzycnc, tmp_path, words):
+    (tmp_path / 'part.ngc').write_text('G21 G90 F600\nG1 X10\nG1 Y10\nM2\n')
+    with open(tmp_path / 'taken', 'w+') as taken:
+        (tmp_path / 'name').symlink_to(f'/proc/self/fd/{taken.fileno()}')
+        done = fuzzycnc(*words, 'name')
+        assert done.code == 0, done.err
+        assert (tmp_path / 'name').is_symlink()
+        assert taken.read() == '' != (tmp_path / 'taken').read_text(), (
+            'another file took its place'
+        )
+
+
+def test_a_bag_takes_no_place_of_a_pipe(refused, tmp_path):
+    os.mkfifo(tmp_path / 'pipe')
+    refused('simulate', '--out', 'pipe', naming=['pipe: expected a new name but it exists'])
+    assert (tmp_path / 'pipe').is_fifo()

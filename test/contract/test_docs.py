@@ -269,24 +269,33 @@ def numbers(page: str, row: str) -> list[float]:
 
 def test_figures_of_the_readme_are_those_of_the_pages():
     text = (ROOT / 'README.md').read_text()
-    rows = dict(re.findall(r'^\| \*\*(.+?)\*\*.*? \| (\S+ ?\S* \| \S+ \S+) \|', text, re.M))
-    drift = numbers('tutorials/try-it.md', 'Uncompensated')[0]
-    left = numbers('tutorials/try-it.md', 'As applied on the machine')[0]
-    page = 'explanation/methods/feedrate.md'
-    before, after = (numbers(page, row)[1] for row in ('fuzzy  ', 'log_fuzzy  '))
-    settled = numbers('explanation/methods/servo.md', 'variable universe with observer')[0]
-    pattern = re.search(
-        r'deviation from (\S+) to (\S+) mm', (ROOT / 'docs/tutorials/try-it.md').read_text()
+    rows = dict(re.findall(r'^\| \*\*\[(.+?)\].*?\*\*.*? \| (.+) \|$', text, re.M))
+
+    def row(page: str, place: int, *names: str) -> list[float]:
+        return [numbers(page, name)[place] for name in names]
+
+    methods = 'Uncompensated', 'Classical GM(1,N)', 'Static least squares'
+    drift = row('tutorials/try-it.md', 0, *methods, 'As applied on the machine')
+    rules = 'constant  ', 'fuzzy  ', 'normal_acceleration', 'log_fuzzy  '
+    feeds = row('explanation/methods/feedrate.md', 1, *rules)
+    page = 'explanation/methods/servo.md'
+    axes = row(page, 1, 'PID', 'variable universe with observer')
+    nominal = row(page, 0, 'PID', 'variable universe with observer')
+    bare, linear, default, published = (
+        numbers('explanation/methods/deformation.md', '45 deg, 15 mm thick, 6 mm deep')[2 + place]
+        for place in (0, 3, 6, 9)
     )
-    assert pattern is not None
+    soft = (bare, published, linear, default)
     assert rows == {
-        'Thermal drift': f'{drift:.0f} µm | {left:.1f} µm',
-        'Feeds': f'{before} s | {after} s',
-        'Axes': f'never | {settled:.2f} s',
-        'Soft material': f'{pattern[1]} mm | {pattern[2]} mm',
+        'Thermal drift': ' | '.join(f'{value} µm' for value in drift),
+        'Feeds': ' | '.join(f'{value:.1f} s' for value in feeds),
+        'Axes': f'- | never | {axes[0]:.2f} s | {axes[1]:.2f} s',
+        'Soft material': ' | '.join(f'{value:.1f} mm' for value in soft),
     }
+    told = ' '.join(text.split())
+    assert f'({nominal[0]:.2f} s against {nominal[1]:.2f} s)' in told
     full = figures('Measured: a real spindle')
-    assert f'{full["uncompensated"][2]:.0f} µm become {full["default"][2]:.1f} µm (rms)' in text
+    assert f'{full["uncompensated"][2]:.0f} µm become {full["default"][2]:.1f} µm (rms)' in told
 
 
 def test_the_readme_is_short():

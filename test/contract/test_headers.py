@@ -29,7 +29,6 @@ COMMENTED = {
 COMMENTED_NAMES = {'.gitignore', 'Makefile', 'run'}
 TEXT = COMMENTED | {'.action', '.json', '.md', '.msg', '.srv', ''}
 BUILT = {'build', 'install', 'log', '__pycache__', 'node_modules'}
-RECORDED = {'bags'}  # written by the recorder
 VENDORED = {'vendor'}  # as published, each beside its own licence
 
 # Put together here, so that this file passes its own test.
@@ -72,7 +71,8 @@ def sources() -> Iterator[Path]:
 def is_recorded(path: Path) -> bool:
     """Return whether a file is data, or published by others, rather than source."""
     parts = path.relative_to(ROOT).parts
-    return (parts[0] in RECORDED and path.suffix != '.py') or VENDORED <= set(parts)
+    recorded = parts[0] == 'bags' or parts[:2] == ('examples', 'mill_warm_up')
+    return (recorded and path.suffix != '.py') or VENDORED <= set(parts)
 
 
 SOURCES = list(sources())

@@ -55,6 +55,7 @@ RINGS = {
     'cli': {
         'uninterrupted',
         'nodes',
+        'web',
         'adapters',
         'ros',
         'registry',
@@ -212,6 +213,22 @@ def test_ros_stays_outside(path):
         if name.split('.')[0] in ROS
     ]
     assert not found
+
+
+EXCHANGES = {('os', 'replace'), ('os', 'rename'), ('shutil', 'move')}
+
+
+def test_files_are_exchanged_in_one_place():
+    """It alone knows a link, a pipe or a device, in whose place no file may come."""
+    found = {
+        str(path.relative_to(PACKAGE))
+        for path in MODULES
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Attribute)
+        and isinstance(node.value, ast.Name)
+        and (node.value.id, node.attr) in EXCHANGES
+    }
+    assert found == {'bags/atomic.py'}
 
 
 def test_no_node_imports_another():

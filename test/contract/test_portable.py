@@ -11,6 +11,8 @@ from rules import for_each
 PACKAGE = Path(__file__).parents[2] / 'fuzzycnc_ros'
 
 TRAINING = {
+    'core/deformation/believed_deviation.py': 'learns the offsets of a pattern',
+    'core/deformation/regression.py': 'trains',
     'core/deformation/samples.py': 'identifies a sheet from samples',
     'core/deformation/training.py': 'trains',
     'core/fuzzy/takagi_sugeno.py': 'trains; the firing strengths alone run',
@@ -18,6 +20,9 @@ TRAINING = {
     'core/servo/stability.py': 'judges settings',
     'core/thermal/domain.py': 'the domain of a model is part of its training',
     'core/thermal/moments.py': 'least squares of a training without a ridge',
+    'core/thermal/turned.py': 'doubts a recording before training',
+    'simulation/controller/blends.py': 'judges a part program; no bag holds what it gives',
+    'simulation/controller/motion.py': 'likewise',
     'simulation/servo/axis_tuning.py': 'tunes',
     'simulation/servo/tuning.py': 'tunes',
     'simulation/soft/foam_tracks.py': 'judges stitches',
@@ -28,6 +33,8 @@ DECIDES = {
     ('core/fuzzy/clustering.py', 'np.linalg.eigh'): 'clusters of T-S models, which are trained',
     ('core/fuzzy/clustering.py', 'np.linalg.eigvalsh'): 'likewise',
     ('core/deformation/network.py', '**'): 'in training',
+    ('core/thermal/band.py', '@'): 'autocorrelation of residuals that are judged',
+    ('core/thermal/sensor_watch.py', 'np.linalg.eigvalsh'): 'refuses a model file, and no number',
     ('core/feedrate/path/nurbs.py', 'np.linalg.svd'): 'tells straight from bent, and no number',
     ('core/servo/params.py', 'np.linalg.eigvals'): 'tells stable from unstable, and no number',
     ('core/servo/params.py', '@'): 'likewise',

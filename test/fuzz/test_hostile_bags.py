@@ -158,6 +158,20 @@ def test_a_chunk_of_another_size_than_it_states_is_damaged(tmp_path):
         read_all(file, True)
 
 
+@pytest.mark.parametrize(
+    ('make', 'complaint'),
+    [
+        (hostile_files.chunk_that_hides_its_size, 'cannot be decompressed'),
+        (hostile_files.chunk_of_lz4_that_hides_its_size, 'expected 100 bytes but found more'),
+        (hostile_files.chunk_that_needs_a_window_of_a_gigabyte, 'requires too much memory'),
+    ],
+)
+def test_chunks_that_unpack_to_more_are_damaged(tmp_path, make, complaint):
+    file = make(tmp_path / 'a.mcap')
+    assert file.stat().st_size < 3_000_000
+    assert complaint in refusal(BagFormatError, lambda: read_all(file, True))
+
+
 @pytest.mark.slow
 def test_large_messages_are_read_a_few_at_a_time(tmp_path):
     bag = hostile_files.database_of_large_messages(tmp_path / 'a')

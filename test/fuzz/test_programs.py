@@ -11,10 +11,11 @@ from fuzzing.file_mutations import mutated_bytes, mutated_text
 from hypothesis import given
 
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.motion.program_request import schedule_text
+from fuzzycnc_ros.components.motion.program_request import program_settings, schedule_text
 from fuzzycnc_ros.core.feedrate.gcode import reader
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.gcode.segments import ProgramError
+from fuzzycnc_ros.core.feedrate.schedule.program_schedule import schedule_program
 
 
 @pytest.fixture(autouse=True)
@@ -93,6 +94,58 @@ O200
 G91 G1 X1 F600
 M99
 """,
+    """O7
+G21 G40
+G50 S2500
+G28 U0 W0
+T0101 G97 S500 M3
+G0 X60. Z2.
+G98 G1 Z-20. F300
+U2. W-1.
+G2 U4. W-2. R2.
+G71 U2. R.5
+G71 P10 Q20 U.4 W.1 F.3
+G90 X50. Z-20. F.2
+G112
+G1 X40. C10. F500
+G113
+G99 G1 X70. Z-25. F.2
+M30
+""",
+    """M862.3 P "MK3S" ; check
+M201 X1000 Y1000 Z200 E5000
+M104 S210
+SET_VELOCITY_LIMIT ACCEL=1500
+G28 X Y
+M117 layer (5
+G92 E0
+G1 X10 Y10 Z.2 F3000
+G1 X20 E1
+Y20 E2
+G1 E-2 F1800
+G4 P500
+M84 X Y E
+""",
+    """G20 G64 P0.001
+G68.2 X0 Y0 Z0 I0 J30 K0
+G 0 1 X 1 Y 0 Z 0 F 6 0
+G61
+TRANSMIT
+G1 X1 C5
+TRAFOOF
+G43.4 H1
+G1 X1 Y1 Z1
+G2 X-1 Y1.002 I-1 J0
+G5.2 X1 Y1 P1 L3
+X1 Y1
+X1 Y1
+X2 Y1
+G5.3
+G10 L2 P1 X0
+G91 G1 X1 F10
+G3 X1 Y1 R1
+M2
+""",
 )
 
 
@@ -139,3 +192,67 @@ def test_programs_are_scheduled_or_refused(seed):
     assert found[0].message
     if found[0].path is not None:
         assert np.isfinite(found[0].path.data).all()
+
+
+def relative_moves(seed: int) -> str:
+    """Return lines and arcs in G91."""
+    rng = random.Random(seed)
+    lines = ['G91 F600']
+    for _ in range(rng.randint(1, 8)):
+        x, y, z = (rng.choice([0, 0.5, -3, 12.25]) for _ in range(3))
+        radius = 0.6 * (x * x + y * y) ** 0.5 + 0.1
+        lines.append(
+            rng.choice(
+                [
+                    f'G1 X{x} Y{y} Z{z}',
+                    f'G0 X{x} Z{z}',
+                    f'G1 Y{y}',
+                    f'G2 X{x} Y{y} R{radius}' if x or y else 'G1 Z1',
+                    f'G3 I{x + 0.5} J{y} P{rng.randint(1, 3)}',
+                ]
+            )
+        )
+    return '\n'.join(lines) + '\n'
+
+
+@fuzz(60, share=0.2)
+@given(seed=SEEDS)
+def test_relative_moves_are_as_long_wherever_they_begin(seed):
+    moves = relative_moves(seed)
+    known = read_program(f'G90 G0 X0 Y0 Z0\n{moves}')
+    unknown = read_program(f'G10 L2 P1 X0 Y0 Z0\n{moves}')
+    lengths = [[part.length for part in one.segments] for one in (known, unknown)]
+    assert lengths[0][1:] == pytest.approx(lengths[1], rel=1e-12, abs=1e-15)
+    times = schedule_program(unknown, program_settings(FeedrateSchedulerConfig())).times
+    assert times.untimed == times.chosen == 0
+    assert times.kept >= sum(p.length / p.feed for p in unknown.segments if p.feed) * (1.0 - 1e-12)
+
+
+def still_curve(seed: int) -> str:
+    """Return a NURBS block many of whose control points are equal or in line."""
+    rng = random.Random(seed)
+    order = rng.randint(3, 5)
+    points: list[tuple[float, float]] = []
+    while len(points) < order + 2:
+        point = rng.choice([0.0, 1.0, 4.0, 9.5]), rng.choice([0.0, 0.0, 3.0])
+        points += [point] * rng.choice([1, 1, 2, order - 1, order, order + 1])
+    words = [f'X{x} Y{y} P{rng.choice([1, 1, 2.5])}' for x, y in points]
+    return f'G0 X0 Y0\nF600\nG5.2 L{order} ' + '\n'.join(words) + '\nG5.3\nG1 X20 Y20\n'
+
+
+@pytest.mark.filterwarnings('error::RuntimeWarning')
+@fuzz(25, share=0.2)
+@given(seed=SEEDS)
+def test_curves_that_stand_still_are_scheduled_or_refused_by_their_line(seed):
+    settings = program_settings(FeedrateSchedulerConfig())
+    made = []
+    text = still_curve(seed)
+    why = refusal(ValueError, lambda: made.append(schedule_program(read_program(text), settings)))
+    if why:
+        assert why.startswith('line 3: ')
+        return
+    [found] = made
+    assert np.isfinite([found.duration, found.times.length, found.times.error]).all()
+    for part in found.paths:
+        assert np.isfinite(part.path.geometry.coefficient).all()
+        assert (np.diff(part.path.geometry.node) > 0.0).all()

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The live page on a real graph: what it shows, what it does, and that nobody depends on it."""
 
+import io
 import json
 import re
 import signal
@@ -18,10 +19,14 @@ from rclpy.parameter import Parameter
 pytest.importorskip('starlette', reason="the page needs pip install 'fuzzycnc_ros[page]'")
 
 from live_graph import AGAIN
+from processes import wait_for
 from rcl_interfaces.srv import SetParameters
+from rich.console import Console
 from websockets.sync.client import connect
 
 from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.cli.live.page_process import page_process
+from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode
@@ -350,6 +355,52 @@ def test_others_reach_it_encrypted_and_with_a_token_only(graph, observer, tmp_pa
     again = graph.start('dashboard', settings, namespace='/')
     observer.until(lambda: 'live page: ' in again.output, again.output)
     assert secret not in again.output
+
+
+@pytest.fixture
+def beside(domain, monkeypatch, tmp_path):
+    """Return what `up --page --params` makes of a file: its greeting, and the page itself."""
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+    monkeypatch.chdir(tmp_path)
+    with ExitStack() as stack:
+
+        def make(text):
+            (tmp_path / 'dashboard.yaml').write_text(text)
+            console = Console(file=io.StringIO(), width=200)
+            files = [tmp_path / 'dashboard.yaml']
+            page, spec = stack.enter_context(page_process(console, 0, params=files))
+            return console.file.getvalue(), page, spec
+
+        yield make
+
+
+def test_a_page_beside_a_graph_keeps_to_its_file(beside, tmp_path):
+    """Its port, its token and its folder of bags; a token that is ignored lets everybody act."""
+    text = '/**/dashboard:\n  ros__parameters: {port: 0, token_file: tok, bags: bags}\n'
+    (tmp_path / 'tok').write_text(16 * 'x')
+    with pytest.raises(GraphError, match=r'token tok: .* mode 644; run chmod 600 tok'):
+        beside(text)
+    (tmp_path / 'tok').chmod(0o600)
+    greeting, page, spec = beside(text)
+    assert 'live page: a free port, see ' in greeting
+    assert 'acting there needs the token in tok' in greeting
+    assert 'needs a folder' not in greeting
+    page.start(spec)
+    log = page.log('dashboard')
+    wait_for(lambda: 'live page: ' in log.read_text(), 'the page is served')
+    (url,) = re.findall(r'live page: (\S+)', log.read_text())
+    with pytest.raises(urllib.error.HTTPError) as refused:
+        urllib.request.urlopen(urllib.request.Request(f'{url}act/mill/deactivate', b'{}'))
+    with refused.value as answer:
+        assert answer.code == 401
+    with connect(url.replace('http', 'ws', 1) + 'live') as client:
+        hello = json.loads(client.recv(timeout=PATIENCE))
+    assert (hello['needs_token'], hello['recordable']) == (True, True)
+
+
+def test_a_page_without_a_folder_says_how_to_record(beside):
+    greeting, _, _ = beside('/**/dashboard:\n  ros__parameters: {port: 0}\n')
+    assert 'Start recording there needs a folder for bags: the parameter bags' in greeting
 
 
 def test_what_cannot_be_served_is_refused(refusal, graph, observer, tmp_path):

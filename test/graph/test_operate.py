@@ -13,7 +13,7 @@ import pytest
 from processes import HANG, wait_for
 
 from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.cli.live import operate, supervision_monitor
+from fuzzycnc_ros.cli.live import operate, operator_client, supervision_monitor
 from fuzzycnc_ros.cli.main import run
 from fuzzycnc_ros.ros.recording import is_recorded
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
@@ -170,6 +170,33 @@ def test_what_cannot_be_done_is_said_in_one_line(words, named, command, monkeypa
     assert (code, out) == (2, '')
     assert named in err
     assert len(err.splitlines()) == 1
+
+
+def test_a_compensator_that_was_shut_down_is_told_alike(
+    graph, observer, command, tmp_path, monkeypatch
+):
+    """Status, activate and deactivate tell the same truth, and what to do."""
+    monkeypatch.setattr(supervision_monitor, 'FIRST_HEARD', HANG)
+    graph.start('compensator')
+    observer.until(
+        lambda: observer.node.count_subscribers('/mill/thermal_error'), 'the compensator is there'
+    )
+    assert command('activate')[0] == 0
+    with operator_client.Operator('mill', patience=HANG) as operator:
+        assert operator.transition('compensator', 'shutdown')
+    file = tmp_path / 'status.json'
+
+    def told():
+        assert command('status', '--json', str(file))[0] == 0
+        (node,) = json.loads(file.read_text())['nodes']
+        return node['state'] == 'finalized' and 'shut down for good' in node['trouble'] and node
+
+    wait_for(told, 'the node reports it')
+    assert told()['health'] == 'error'
+    code, _, err = command('activate')
+    assert code == 2
+    assert 'mill/compensator was shut down for good; end its process to activate it again' in err
+    assert command('deactivate') == (0, 'mill/compensator is not active\n', '')
 
 
 def test_a_node_that_refuses_is_quoted(graph, observer, command, tmp_path):

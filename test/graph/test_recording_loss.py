@@ -140,6 +140,8 @@ def test_publishers_that_end_before_their_recorder_are_told(graph, observer, tmp
     with BagReader(bag) as reader:
         recording = json.loads(reader.attachments()['recording.json'].data)
     assert recording['publishers_left'] == {'/mill/ended': 1}
+    name = observer.node.get_fully_qualified_name()
+    assert recording['publishers'] == {topic: [name] for topic in topics}
 
 
 @pytest.mark.slow

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Machine files: read, written, and what is wrong with them."""
 
+import os
+import re
 from dataclasses import replace
 
 import pytest
@@ -217,3 +219,44 @@ def test_other_yaml_is_no_machine_file(tmp_path):
     assert not is_machine_file(path)
     assert is_machine_file('mill')
     assert not is_machine_file(tmp_path / 'missing')
+
+
+@pytest.mark.parametrize(
+    ('line', 'naming'),
+    [
+        ('OFFSET_AV_RATIO = -3', 'line 3: OFFSET_AV_RATIO: expected a share from 0 to below 1'),
+        ('OFFSET_AV_RATIO = 1', 'line 3: OFFSET_AV_RATIO: expected a share from 0 to below 1'),
+        ('OFFSET_AV_RATIO = nan', 'line 3: OFFSET_AV_RATIO: expected a number'),
+        ('MAX_VELOCITY = 5_0', 'line 3: MAX_VELOCITY: expected a number'),
+        ('MAX_VELOCITY = \N{ARABIC-INDIC DIGIT FIVE}', 'line 3: MAX_VELOCITY: expected a number'),
+        ('MAX_VELOCITY = 0x10', 'line 3: MAX_VELOCITY: expected a number'),
+        ('MAX_VELOCITY = -50', 'velocity = -0.05 is outside'),
+        ('MAX_VELOCITY = 5e-324', 'velocity = 0.0 is outside'),
+        ('MIN_LIMIT = 20\nMAX_LIMIT = 10', 'travel_high: expected more than travel_low'),
+    ],
+)
+def test_hostile_limits_of_linuxcnc_are_refused_by_line(machine, tmp_path, line, naming):
+    """A negative share for offsets would raise all limits."""
+    text = f'[TRAJ]\n[AXIS_X]\n{line}\n[TRAJ]\nLINEAR_UNITS = mm\nCOORDINATES = X\n'
+    (tmp_path / 'mill.ini').write_text(text, encoding='utf-8')
+    with pytest.raises(ValueError, match=re.escape(naming)):
+        machine('linuxcnc: {ini: mill.ini}')
+
+
+def test_a_configuration_of_linuxcnc_has_lines_as_linuxcnc_reads_them(machine, tmp_path):
+    text = '[EMC]\nMACHINE = a\u2028[TRAJ]\x85LINEAR_UNITS = inch\n[TRAJ]\nLINEAR_UNITS = mm\n'
+    (tmp_path / 'mill.ini').write_text(f'{text}[AXIS_X]\nMAX_VELOCITY = 50\n', encoding='utf-8')
+    assert machine('linuxcnc: {ini: mill.ini}').axes['X'].limits.velocity == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize('kind', ['pipe', 'device', 'folder'])
+def test_what_is_no_file_is_no_configuration_of_linuxcnc(machine, tmp_path, kind):
+    """A pipe would be waited for, and a device may have no end."""
+    path = tmp_path / 'mill.ini'
+    {
+        'pipe': lambda: os.mkfifo(path),
+        'device': lambda: path.symlink_to('/dev/zero'),
+        'folder': path.mkdir,
+    }[kind]()
+    with pytest.raises(ValueError, match=r'mill\.ini: expected a'):
+        machine('linuxcnc: {ini: mill.ini}')

@@ -3,48 +3,28 @@
 """How a recorder ends."""
 
 import time
+from types import SimpleNamespace
 
 import pytest
 
-rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed here: run `make test`')
+pytest.importorskip('rclpy', reason='rclpy is not installed here: run `make test`')
 
-from processes import wait_for  # noqa: E402
-from rclpy.parameter import Parameter  # noqa: E402
-from rclpy.serialization import serialize_message  # noqa: E402
-from std_msgs.msg import Header  # noqa: E402
+from processes import wait_for
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Header
 
-from fuzzycnc_ros.bags.reader import BagReader  # noqa: E402
-from fuzzycnc_ros.nodes import recorder  # noqa: E402
-from fuzzycnc_ros.nodes.recorder import QUIET, RecorderNode  # noqa: E402
+from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.nodes import recorder
+from fuzzycnc_ros.nodes.recorder import QUIET, RecorderNode
 
 pytestmark = pytest.mark.ros
 
 
-@pytest.fixture
-def make(domain):
-    """Make a node in a domain of its own."""
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=domain)
-    made = []
-
-    def begin(name, **parameters):
-        given = [Parameter(key, value=value) for key, value in parameters.items()]
-        made.append(
-            rclpy.create_node(name, namespace='/mill', context=context, parameter_overrides=given)
-        )
-        return made[-1]
-
-    yield begin
-    for node in made:
-        node.destroy_node()
-    rclpy.shutdown(context=context)
-
-
-def test_what_the_middleware_brings_late_is_in_the_bag(make, tmp_path, monkeypatch):
+def test_what_the_middleware_brings_late_is_in_the_bag(make_node, tmp_path, monkeypatch):
     """Its threads may be later than the wish to end; what follows the wish is not awaited."""
-    make('plc').create_publisher(Header, 'said', 10)
+    make_node('plc').create_publisher(Header, 'said', 10)
     output = str(tmp_path / 'bag')
-    node = RecorderNode(make('recorder', output=output, topics='^/mill/said'))
+    node = RecorderNode(make_node('recorder', output=output, topics='^/mill/said'))
     wait_for(lambda: node._discover() or node._subscriptions, 'the topic')
     looks = []
 
@@ -60,3 +40,26 @@ def test_what_the_middleware_brings_late_is_in_the_bag(make, tmp_path, monkeypat
     with BagReader(output) as reader:
         assert reader.message_count == len(looks) - 1
     assert len(looks) == 2 + QUIET
+
+
+def test_a_part_is_shipped_while_the_next_one_is_written(make_node, tmp_path):
+    """The end waits a few seconds only for what is on its way: parts are shipped before it."""
+    output, archive = tmp_path / 'bag', tmp_path / 'archive'
+    ship = {'ship': archive.as_uri(), 'split_duration': 1.0}
+    node = RecorderNode(make_node('recorder', output=str(output), topics='^/mill/said', **ship))
+    try:
+        make_node('plc').create_publisher(Header, 'said', 10)
+        wait_for(lambda: node._discover() or node._subscriptions, 'the topic')
+        (subscription,) = node._subscriptions.values()
+        start = time.time_ns()
+        for second in range(3):
+            stamp = start + second * 10**9
+            node._clock = SimpleNamespace(now=lambda stamp=stamp: stamp)
+            info = {'publication_sequence_number': second + 1, 'source_timestamp': stamp}
+            subscription.callback(serialize_message(Header()), info)
+        wait_for(lambda: len(list(archive.rglob('*.mcap'))) == 2, 'the first two parts')
+    finally:
+        node.stop()
+    names = {path.name for path in output.glob('*.mcap')}
+    assert {path.name for path in archive.rglob('*.mcap')} == names
+    assert len(names) == 3

@@ -223,7 +223,7 @@ def test_a_fit_that_was_stopped_is_flagged():
     ('model', 'message'),
     [
         (GaussianProcess(samples_max=1), 'samples_max: expected at least 2'),
-        (GaussianProcess(interval=0.0), 'interval: expected a positive'),
+        (GaussianProcess(interval=0.0), 'interval: expected from'),
         (Mlp(hidden=()), 'hidden: expected one or more layers'),
         (Mlp(hidden=(3, 0)), 'hidden: expected one or more layers'),
         (Mlp(activation='step'), 'activation: expected one of tanh, relu'),

@@ -7,6 +7,7 @@ bridge, compensator, or both, while offsets are in force in a control behind OPC
 """
 
 import json
+import signal
 import sys
 import time
 from functools import partial
@@ -71,6 +72,7 @@ class Loop:
         )
         observer.node.create_timer(0.1, self._tell_error)
         self.ahead = 0
+        self.running = []
         self._sample, self._watched = (time.monotonic(), server.control.offset.copy()), True
         for node in NODES:
             self.set_clock(node, 0)
@@ -92,7 +94,7 @@ class Loop:
                 *(sys.executable, '-m', f'fuzzycnc_ros.nodes.{node}'),
                 *ros_arguments('/mill', [file]),
             ]
-            self.graph.launch(node, command, place)
+            self.running.append(self.graph.launch(node, command, place))
 
     def _file(self, node):
         return self.folder / node / 'clock'
@@ -187,6 +189,21 @@ def test_clock_of_the_computer_is_set(loop, step):
         ),
         'followed by the new clock',
     )
+    loop.arrives()
+
+
+def test_computer_was_suspended(loop):
+    """Ten minutes, in which the control has let the offset go: it comes back, never by a step."""
+    for running in loop.running:
+        running.send(signal.SIGSTOP)
+    loop.until(lambda: loop.stands_at(0.0), 'the control takes it to zero by itself')
+    loop.ahead = 600
+    for node in NODES:
+        loop.set_clock(node, loop.ahead)
+    for running in loop.running:
+        running.send(signal.SIGCONT)
+    for node in NODES:
+        loop.told(node, 1, loop.ahead)
     loop.arrives()
 
 

@@ -75,6 +75,15 @@ def test_lost_sensors_are_seen_and_substituted():
     assert last.valid
 
 
+def test_the_examples_hold_the_same_bag_and_no_link():
+    example = BAGS.parent / 'examples' / 'mill_warm_up'
+    files = sorted(path.name for path in (BAGS / 'mill_warm_up').iterdir())
+    assert sorted(path.name for path in example.iterdir()) == files
+    for name in files:
+        assert (example / name).read_bytes() == (BAGS / 'mill_warm_up' / name).read_bytes()
+    assert not [path for path in example.parent.rglob('*') if path.is_symlink()]
+
+
 @pytest.mark.replay
 def test_lost_sensors_cost_little():
     """Substitution keeps the offsets within a few micrometres of the healthy run's."""
@@ -156,6 +165,18 @@ def test_relative_difference_sees_what_matters():
     assert 0.0 < relative_difference(message, other) < 1e-11
     assert relative_difference(message, replace(message, valid=not message.valid)) == np.inf
     assert relative_difference(message, replace(message, error=message.error[:1])) == np.inf
+    whole = np.array([1.0, -1.0])
+    for first, second, apart in (
+        (np.inf * whole, -np.inf * whole, np.inf),
+        (np.inf * whole, whole, np.inf),
+        (np.nan * whole, np.inf * whole, np.inf),
+        (np.inf * whole, np.inf * whole, 0.0),
+        (np.nan * whole, np.nan * whole, 0.0),
+        (1.7e308 * whole, -1.7e308 * whole, np.inf),
+        (5e-324 * whole, 0.0 * whole, 1.0),
+        (0.0 * whole, -0.0 * whole, 0.0),
+    ):
+        assert relative_difference(first, second) == relative_difference(second, first) == apart
     nan = replace(message, error=message.error * np.nan)
     assert relative_difference(message, nan) == np.inf
 

@@ -10,6 +10,7 @@ import threading
 import pytest
 from processes import start, wait_for
 
+from fuzzycnc_ros.ros import processes
 from fuzzycnc_ros.ros.bring_up import NODE_STOP
 from fuzzycnc_ros.ros.processes import EXITING, interruptible
 from fuzzycnc_ros.ros.run import LETTING_GO
@@ -39,6 +40,22 @@ class EarlyTimer(threading.Timer):
             signal.raise_signal(signal.SIGTERM)
         else:
             super().start()
+
+
+def test_a_wish_is_put_off_where_an_exception_would_be_lost():
+    with interruptible() as wish:
+        with wish.put_off():
+            signal.raise_signal(signal.SIGTERM)
+            assert wish.number == signal.SIGTERM
+        assert not wish._reminder.is_alive() or wish._reminder.finished.is_set()
+
+
+def test_a_wish_that_was_put_off_ends_what_hangs(monkeypatch):
+    monkeypatch.setattr(processes, 'HANGS', 0.01)
+    monkeypatch.setattr(processes, 'ONE_WISH', 0.0)
+    with interruptible() as wish, pytest.raises(Interrupted), wish.put_off():  # noqa: PT012
+        signal.raise_signal(signal.SIGTERM)
+        wait_for(never, 'nothing: the wish ends this')
 
 
 @pytest.mark.parametrize('timer', [threading.Timer, EarlyTimer])
@@ -127,7 +144,7 @@ def test_a_library_that_hangs_as_the_process_exits_holds_it_no_longer():
     assert subprocess.run(command, timeout=60, check=False).returncode == 3
 
 
-SWALLOWED = """
+WISHED = """
 import signal
 import rclpy
 from fuzzycnc_ros.ros.processes import end
@@ -145,8 +162,8 @@ class Host:
             raise SystemExit('went on')
         try:
             signal.raise_signal(signal.SIGINT)
-        except KeyboardInterrupt:
-            pass
+        except KeyboardInterrupt as error:
+            {instead}
     def start(self):
         pass
     stop = start
@@ -155,8 +172,9 @@ end(run([Host], ['deaf', '--ros-args', '-r', '__ns:=/ending']))
 """
 
 
-def test_a_wish_whose_exception_somebody_swallows_ends_the_node_all_the_same():
-    """Libraries in C clear what a callback of theirs raises."""
-    command = [sys.executable, '-c', SWALLOWED]
+@pytest.mark.parametrize('instead', ['pass', 'raise SystemError("an exception set") from error'])
+def test_a_wish_ends_a_node_whatever_becomes_of_exceptions(instead):
+    """Libraries in C clear what a callback of theirs raises, or make another error of it."""
+    command = [sys.executable, '-c', WISHED.format(instead=instead)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert (done.stderr, done.returncode) == ('', 0)

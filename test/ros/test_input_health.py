@@ -7,13 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from benches.component_bench import applied, readings
+from benches.feedrate_rig import SMALL, Rig, path_of
 
+from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachine
+from fuzzycnc_ros.components.servo.servo_controller import ServoController
 from fuzzycnc_ros.components.thermal.compensator import Compensator
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.ros.health import input_health
 from fuzzycnc_ros.runtime.component import Level
+from fuzzycnc_ros.runtime.enums import CompensationState
 from fuzzycnc_ros.runtime.merge import Merger
-from fuzzycnc_ros.runtime.records import SECOND, ThermalReference
+from fuzzycnc_ros.runtime.records import SECOND, Compensation, Displacement, ThermalReference
+from fuzzycnc_ros.simulation.thermal.mill import MILL_AXES
 
 pytestmark = pytest.mark.ros
 
@@ -89,16 +94,116 @@ def test_outage_does_not_become_usual():
     assert read_back(merger, 7260.0 + 10 * 60.0).level is Level.ERROR
 
 
-def test_dropped_messages_are_a_warning_for_an_hour():
+@pytest.mark.parametrize(('period', 'over'), [(60.0, 600.0), (0.2, 60.0), (900.0, 3600.0)])
+def test_dropped_messages_are_a_warning_until_the_input_has_been_in_time(period, over):
+    """Ten of its own intervals, a minute at the least, an hour at the most; the count stays."""
     merger = Merger(Compensator())
-    for time in (60.0, 120.0, 120.0):
+    for time in (period, 2.0 * period, 2.0 * period):
         merger.push('compensation_applied', applied(time))
         merger.advance(round(time * SECOND))
-    item = read_back(merger, 130.0)
+    amiss = 2.0 * period
+    item = read_back(merger, amiss + 0.5 * period)
     assert item.level is Level.WARN
-    assert item.message == 'messages since the start: 1 not newer than the one before'
-    for time in range(180, 3900, 60):
+    assert item.message == 'messages since the start: 1 out of order'
+    for step in range(3, round(over / period) + 4):
+        time = step * period
         merger.push('compensation_applied', applied(time))
-    item = read_back(merger, 3800.0)
-    assert (item.level, item.message) == (Level.OK, 'in time')
+        item = read_back(merger, time + 0.1 * period)
+        in_order = time + 0.1 * period - amiss >= over
+        assert item.level is (Level.OK if in_order else Level.WARN)
+    assert item.message == 'in time'
     assert item.values['dropped'] == '1'
+
+
+def commands(state, *offsets, slope=0.0):
+    """Return commands of a compensator, one a second."""
+    size = len(MILL_AXES)
+    return [
+        Compensation(
+            stamp=second * SECOND,
+            epoch=1,
+            state=int(state),
+            axis=MILL_AXES,
+            offset=np.full(size, offset),
+            slope=np.full(size, slope),
+            reference_position=np.zeros(size),
+            at_limit=np.zeros(size, bool),
+            slewing=np.zeros(size, bool),
+            valid_until=(second + 5) * SECOND,
+            source=('thermal_error',),
+        )
+        for second, offset in enumerate(offsets, start=1)
+    ]
+
+
+def machine_health(records):
+    """Return what is said of the offsets, long after the last command: input and machine side."""
+    merger = Merger(SimulatedMachine())
+    for record in records:
+        merger.push('compensation', record)
+    merger.advance(300 * SECOND)
+    merger.component._warmth.offsets.advance(300 * SECOND)
+    of_input = [i for i in input_health(merger, 300 * SECOND) if i.name == 'compensation']
+    return [*of_input, *(i for i in merger.component.health() if i.name == 'compensation')]
+
+
+@pytest.mark.parametrize('state', [CompensationState.INACTIVE, CompensationState.EXPIRED])
+def test_silence_of_a_compensator_that_has_taken_its_offsets_back_is_no_warning(state):
+    told, machine = machine_health(
+        [*commands(CompensationState.RAMPING, 2e-6, 1e-6), *commands(state, 1e-6, 5e-7, 0.0)[2:]]
+    )
+    assert (told.level, told.message) == (Level.OK, 'in time')
+    assert (machine.level, machine.message) == (Level.OK, 'at zero, as commanded last')
+
+
+@pytest.mark.parametrize(
+    ('state', 'offset', 'slope'),
+    [
+        (CompensationState.ACTIVE, 0.0, 0.0),
+        (CompensationState.ACTIVE, 1e-6, 0.0),
+        (CompensationState.INACTIVE, 1e-6, 0.0),
+        (CompensationState.RAMPING, 1e-6, 0.0),
+        (CompensationState.EXPIRED, 0.0, 1e-5),
+    ],
+)
+def test_silence_of_any_other_compensator_is_late(state, offset, slope):
+    told, machine = machine_health(commands(state, offset, offset, offset, slope=slope))
+    assert told.level is Level.WARN
+    assert told.message.startswith('late: newest is 297.0 s old')
+    if offset or slope:
+        assert machine.level is Level.WARN
+        assert 'expired' in machine.message
+
+
+def test_silence_after_probes_and_news_is_no_warning():
+    """Somebody probes twice within a minute, and then for hours not."""
+    merger = Merger(ThermalPredictor())
+    for second in (60, 90):
+        merger.push(
+            'displacement',
+            Displacement(
+                stamp=second * SECOND,
+                axis=('Y',),
+                channel=('Y',),
+                displacement=np.zeros(1),
+                standard_deviation=np.zeros(1),
+                includes_compensation=True,
+            ),
+        )
+    (item,) = (i for i in input_health(merger, 7200 * SECOND) if i.name == 'displacement')
+    assert item.level is Level.OK
+
+
+def test_silence_after_the_last_part_of_a_path_is_no_warning():
+    rig = Rig()
+    rig.run(path_of(SMALL))
+    merger = Merger(ServoController())
+    for part in rig.records():
+        merger.push('trajectory', part)
+    (item,) = (i for i in input_health(merger, 7200 * SECOND) if i.name == 'trajectory')
+    assert item.level is Level.OK
+    merger = Merger(ServoController())
+    for part in rig.records()[:-1]:
+        merger.push('trajectory', part)
+    (item,) = (i for i in input_health(merger, 7200 * SECOND) if i.name == 'trajectory')
+    assert item.level is Level.WARN

@@ -5,6 +5,7 @@
 import asyncio
 import contextlib
 import sys
+import threading
 from concurrent.futures import Future
 from types import SimpleNamespace
 
@@ -18,6 +19,7 @@ from processes import HANG, wait_for
 from fuzzycnc_ros.ros import page_actions
 from fuzzycnc_ros.ros.page_actions import Actions
 from fuzzycnc_ros.ros.presence import GraphError
+from fuzzycnc_ros.runtime.host import FINALIZED
 
 pytestmark = pytest.mark.ros
 
@@ -82,7 +84,16 @@ def record(tmp_path, monkeypatch):
 def test_machines_whose_names_look_alike_have_bags_of_their_own(record):
     actions = record('shop/mill', 'shop_mill', 'mill')
     names = [actions.recording(name) for name in ('shop/mill', 'shop_mill', 'mill')]
-    assert [name.rsplit('_', 2)[0] for name in names] == ['shop-mill', 'shop_mill', 'mill']
+    assert [name.rsplit('_', 3)[0] for name in names] == ['shop-mill', 'shop_mill', 'mill']
+
+
+def test_bags_that_are_begun_within_a_second_have_names_of_their_own(tmp_path):
+    names = []
+    for now in (5.25, 5.5, 5.5, 5.5, 6.0):
+        bag = page_actions._new_bag(tmp_path, 'mill', now)
+        bag.mkdir()
+        names.append(bag.name.removeprefix('mill_19700101_0000'))
+    assert names == ['05_250', '05_500', '05_500_2', '05_500_3', '06_000']
 
 
 def test_a_recorder_that_takes_longer_than_its_page_ends_whole(record, monkeypatch):
@@ -169,3 +180,161 @@ def test_a_node_that_drops_an_answer_is_asked_for_its_state_again(record, monkey
             with pytest.raises(GraphError, match='get_state did not answer'):
                 asyncio.run(asked)
         assert busy.asked == 3
+
+
+class Hung:
+    """Stands for a node whose thread does nothing any more, from a number of jobs on."""
+
+    def __init__(self, jobs=0):
+        self.jobs, self.asked = jobs, []
+
+    def ask(self, job):
+        future = Future()
+        self.asked.append(future)
+        if len(self.asked) <= self.jobs:
+            future.set_result(job())
+        return future
+
+
+MILL = SimpleNamespace(machine='mill', nodes=('compensator',), living_nodes=(), stamp=0)
+
+
+@pytest.mark.parametrize('jobs', [0, 1])
+@pytest.mark.parametrize(
+    ('action', 'body'),
+    [
+        ('reference', {}),
+        ('activate', {}),
+        ('deactivate', {}),
+        ('probe', {'values': {'Y': 1e-6}}),
+        ('record', {'start': True}),
+    ],
+)
+def test_an_action_ends_though_its_node_hangs(record, monkeypatch, action, body, jobs):
+    """A machine that stays busy would refuse everything after that."""
+    monkeypatch.setattr(page_actions, 'TAKEN_UP', 0.05)
+    actions = record()
+    monkeypatch.setattr(Node, 'create_client', lambda *_: Busy(9), raising=False)
+    monkeypatch.setattr(Node, 'count_publishers', lambda *_: 0, raising=False)
+    monkeypatch.setattr(actions, '_start_recorder', lambda *_: SimpleNamespace(poll=lambda: None))
+    hung = Hung(jobs)
+    monkeypatch.setattr(actions.thread, 'ask', hung.ask)
+    view = SimpleNamespace(**vars(MILL), newest=lambda _: None)
+    for _ in range(2):  # it can be tried again
+        with pytest.raises(GraphError, match='dashboard itself did not get to it'):
+            asyncio.run(actions.act(view, action, body))
+    assert all(job.done() for job in hung.asked), 'what was given up would still be done'
+
+
+def test_a_recorder_that_is_not_started_in_time_is_named(record, monkeypatch):
+    monkeypatch.setattr(page_actions, 'TAKEN_UP', 0.05)
+    actions, go_on = record(), threading.Event()
+    monkeypatch.setattr(actions, '_start_recorder', lambda *_: go_on.wait(HANG))
+    with pytest.raises(GraphError, match='no recorder was started within'):
+        asyncio.run(actions.act(MILL, 'record', {'start': True}))
+    go_on.set()
+
+
+def test_an_action_as_a_whole_ends(record, monkeypatch):
+    monkeypatch.setattr(page_actions, 'CARRIED_OUT', 0.05)
+    actions = record()
+
+    async def endless(*_):
+        await asyncio.Event().wait()
+
+    monkeypatch.setitem(actions._carry, 'probe', endless)
+    for _ in range(2):
+        with pytest.raises(GraphError, match='mill: probe did not end within'):
+            asyncio.run(actions.act(MILL, 'probe', {}))
+
+
+class Compensator:
+    """Stands for a managed node that takes its time over a transition, until it is let go on."""
+
+    def __init__(self):
+        self.state, self.heard, self.go_on = 'inactive', [], asyncio.Event()
+
+    async def lifecycle(self, view, node):
+        return self.state
+
+    async def transition(self, view, node, label):
+        self.heard.append(label)
+        if label == 'activate':
+            await self.go_on.wait()
+        self.state = {'configure': 'inactive', 'activate': 'active'}.get(label, 'inactive')
+
+
+@pytest.mark.parametrize('other', ['record', 'activate'])
+def test_deactivate_is_never_refused_for_what_is_under_way(record, monkeypatch, other):
+    actions = record()
+    begun = []
+
+    async def scenario():
+        node = Compensator()
+        monkeypatch.setattr(actions, '_lifecycle', node.lifecycle)
+        monkeypatch.setattr(actions, '_transition', node.transition)
+
+        async def recording(*_):
+            begun.append('record')
+            await node.go_on.wait()
+            return 'recording'
+
+        monkeypatch.setitem(actions._carry, 'record', recording)
+        if other == 'record':
+            node.state = 'active'
+        under_way = asyncio.create_task(actions.act(MILL, other, {}))
+        while not (node.heard or begun):
+            await asyncio.sleep(0)
+        with pytest.raises(GraphError, match='another action is under way'):
+            await actions.act(MILL, 'probe', {})
+        off = asyncio.create_task(actions.act(MILL, 'deactivate', {}))
+        if other == 'record':
+            await off  # it waits for nothing
+        node.go_on.set()
+        await under_way
+        assert await off == 'compensator is inactive and goes on until it is at rest'
+        assert node.state == 'inactive'
+        assert node.heard[-1] == 'deactivate'
+
+    actions.join('mill')
+    asyncio.run(scenario())
+
+
+def test_an_activation_does_not_come_behind_a_deactivation(record, monkeypatch):
+    actions = record()
+
+    async def scenario():
+        node = Compensator()
+        node.state = 'unconfigured'
+        monkeypatch.setattr(actions, '_lifecycle', node.lifecycle)
+
+        async def transition(view, name, label):
+            node.heard.append(label)
+            await node.go_on.wait()
+
+        monkeypatch.setattr(actions, '_transition', transition)
+        on = asyncio.create_task(actions.act(MILL, 'activate', {}))
+        while not node.heard:
+            await asyncio.sleep(0)
+        off = asyncio.create_task(actions.act(MILL, 'deactivate', {}))
+        while not actions._off:
+            await asyncio.sleep(0)
+        node.go_on.set()
+        assert await off == 'compensator is not active'
+        with pytest.raises(GraphError, match='being deactivated'):
+            await on
+        assert node.heard == ['configure']
+
+    actions.join('mill')
+    asyncio.run(scenario())
+
+
+def test_a_node_that_was_shut_down_cannot_be_activated(record, monkeypatch):
+    actions = record()
+    node = Compensator()
+    node.state = FINALIZED
+    monkeypatch.setattr(actions, '_lifecycle', node.lifecycle)
+    monkeypatch.setattr(actions, '_transition', node.transition)
+    with pytest.raises(GraphError, match='compensator was shut down for good; end its process'):
+        asyncio.run(actions.act(MILL, 'activate', {}))
+    assert node.heard == []

@@ -279,6 +279,7 @@ class FakeDashboard:
         """Be a machine that is well."""
         self.views: dict[str, dict[str, Any]] = {'mill': view()}
         self.writable, self.needs_token, self.interval = True, False, 0.25
+        self.recordable = True
         self.mute = self.refusing = False
         self.past = rows
         self.answers: dict[str, list[tuple[int, dict[str, Any]]]] = {}
@@ -346,6 +347,7 @@ class FakeDashboard:
                     'machines': list(self.views),
                     'writable': self.writable,
                     'needs_token': self.needs_token,
+                    'recordable': self.recordable,
                     'interval': self.interval,
                 }
                 if not self.mute:

@@ -69,8 +69,9 @@ def write_test(
         Whether displacements are measured with the offsets in force; whether offsets are told.
     marks : sequence of (float, str)
         When phases begin [s].
-    speed : bool
-        Whether the machine tells its spindle speed, which rises for half a minute.
+    speed : bool or callable
+        Whether the machine tells its spindle speed, which rises for half a minute; or what it
+        tells at a time [rad/s].
     temperatures : bool
         Whether there are some.
     silent_after : float
@@ -92,7 +93,9 @@ def write_test(
     for at, row in zip(told, applied, strict=True):
         if compensation and at <= silent_after:
             records.append(('compensation_applied', in_force(at, row)))
-        if speed:
+        if callable(speed):
+            records.append(('machine_state', state(at, speed(at))))
+        elif speed:
             turning = np.clip((at - 2 * HOUR) / 30.0, 0.0, 1.0) * 100.0 * np.pi
             records.append(('machine_state', state(at, turning if at < 6 * HOUR else 0.0)))
         if temperatures:

@@ -166,6 +166,17 @@ def test_who_may_only_look_sees_no_buttons(page, fake):
     assert not page.one('#actions').is_displayed()
 
 
+def test_without_a_folder_for_bags_the_page_says_so_beforehand(page, fake):
+    assert not page.one('#no-recording').is_displayed()
+    fake.recordable = False
+    page.open(fake.url)
+    page.until(lambda: page.one('#no-recording').is_displayed(), 'the hint')
+    assert 'set the parameter bags' in page.one('#no-recording').text
+    assert not page.one('[data-act="record"]').is_enabled()
+    fake.show(view(recording={'active': True, 'bag': 'run_2'}))
+    page.until(lambda: page.one('[data-act="record"]').is_enabled(), 'a recording to stop')
+
+
 def test_only_what_makes_sense_is_offered(page, fake):
     page.until(lambda: page.one('[data-act="deactivate"]').is_enabled(), 'an active compensator')
     assert not page.one('[data-act="activate"]').is_enabled()

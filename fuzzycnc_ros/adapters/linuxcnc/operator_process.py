@@ -123,8 +123,9 @@ def main():
     operator = Operator()
     listening = socket.socket(socket.AF_UNIX)
     path = os.environ['FUZZYCNC_OPERATOR']
+    before = os.umask(0o177)  # whoever may write to it moves the machine
     listening.bind(path)
-    os.chmod(path, 0o777)
+    os.umask(before)
     listening.listen()
     listening.settimeout(ACCEPT_TIMEOUT)  # whoever started LinuxCNC may have been killed
     connection, _ = listening.accept()

@@ -4,10 +4,22 @@
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from time import monotonic
 from typing import Any
 
-from fuzzycnc_ros.adapters.modbus.registers import Block, blocks, single_blocks, value_of
-from fuzzycnc_ros.adapters.readings.devices import ModbusDevice, ModbusRtuDevice, ModbusTcpDevice
+from fuzzycnc_ros.adapters.modbus.registers import (
+    Block,
+    blocks,
+    single_blocks,
+    suspects,
+    value_of,
+)
+from fuzzycnc_ros.adapters.readings.devices import (
+    SPINDLE,
+    ModbusDevice,
+    ModbusRtuDevice,
+    ModbusTcpDevice,
+)
 from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
 from fuzzycnc_ros.ros.parameters import ParameterError
 
@@ -22,6 +34,10 @@ EXCEPTIONS = {
     10: 'the gateway has no way to this unit',
     11: 'the unit behind the gateway does not answer',
 }
+UNCHANGED_MAX = 600.0
+"""Time for which a register may read the same to the bit after the connection begins, if it
+holds a float [s]."""
+
 WRONG_MAP = (ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE)
 
 
@@ -57,6 +73,10 @@ class ModbusLink(Link):
     def __init__(self, device: ModbusDevice) -> None:
         self._device = device
         self._blocks = blocks(device.channels)
+        self._first: dict[int, tuple[list[int], float]] = {}
+        """What each register has read since the connection began, and when that was."""
+        self._moved: set[int] = set()
+        """Registers that have read something else since."""
 
     @property
     def requests(self) -> int:
@@ -78,11 +98,35 @@ class ModbusLink(Link):
             for index in block.channels:
                 item = self._device.channels[index]
                 start = item.register - block.register
-                found[index] = value_of(item, answer[start : start + item.count])
+                found[index] = self._reading(index, answer[start : start + item.count])
         # One wrong register must not cost the others of its block: from now on ask one by one.
         for block in refused:
             place = self._blocks.index(block)
             self._blocks[place : place + 1] = single_blocks(block, self._device.channels)
+        return found
+
+    def _reading(self, index: int, words: list[int]) -> Reading:
+        """Return the reading of a channel; a float has to change now and then."""
+        item = self._device.channels[index]
+        found = value_of(item, words)
+        judged = item.type.startswith('float') and item.name != SPINDLE
+        if not judged or index in self._moved or isinstance(found, str):
+            return found
+        first, since = self._first.setdefault(index, (words, monotonic()))
+        if words != first:
+            self._moved.add(index)
+            return found
+        if not any(words):
+            return (
+                f'register {item.register} of the table {item.table} has read 0 ever since; is it '
+                'the right one? addresses count from 0'
+            )
+        unchanged = monotonic() - since
+        if unchanged >= UNCHANGED_MAX:
+            return (
+                f'has not changed by a bit for {unchanged / 60.0:.0f} min, as no sensor does; '
+                f'{suspects(item, words)}'
+            )
         return found
 
     @abstractmethod

@@ -5,9 +5,11 @@
 import math
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 
-from fuzzycnc_ros.adapters.readings.devices import FORMATS, Register
+from fuzzycnc_ros.adapters.readings.devices import FORMATS, SPINDLE, Register
+from fuzzycnc_ros.components.thermal.temperature_acquisition import TINY
 
 REGISTERS_MAX = 125
 """Most registers that one request may ask for, as the Modbus specification lays down."""
@@ -57,6 +59,8 @@ def single_blocks(block: Block, registers: Sequence[Register]) -> list[Block]:
 def value_of(item: Register, words: Sequence[int]) -> float | str:
     """Return the quantity in the registers of a value, or why there is none.
 
+    What no sensor reads is no temperature: most often its words, or bytes, are in another order.
+
     Parameters
     ----------
     item : Register
@@ -70,17 +74,68 @@ def value_of(item: Register, words: Sequence[int]) -> float | str:
     >>> value_of(rtd, [215])
     21.5
     """
-    if item.word_order == 'little':
-        words = tuple(reversed(words))
-    packed = b''.join(word.to_bytes(2, item.byte_order) for word in words)  # type: ignore[arg-type]
-    (raw,) = struct.unpack(f'>{FORMATS[item.type]}', packed)
+    raw = raw_of(item, words)
     # A code may be written signed or not: 0x8000 and -32768 are the same bits.
     modulus = 2 ** (16 * item.count)
     for code in item.open_circuit:
         same = raw == code if isinstance(raw, float) else (raw - code) % modulus == 0
         if same:
             return f'open circuit (raw value {raw})'
-    return scaled(item.scale, item.offset, raw)
+    value = scaled(item.scale, item.offset, raw)
+    if item.name == SPINDLE or not (trouble := no_temperature(raw, value)):
+        return value
+    return f'{trouble}; {suspects(item, words)}'
+
+
+def raw_of(item: Register, words: Sequence[int]) -> int | float:
+    """Return the raw value in the registers of a value."""
+    if item.word_order == 'little':
+        words = tuple(reversed(words))
+    packed = b''.join(word.to_bytes(2, item.byte_order) for word in words)  # type: ignore[arg-type]
+    (raw,) = struct.unpack(f'>{FORMATS[item.type]}', packed)
+    return float(raw) if item.type.startswith('float') else int(raw)
+
+
+def suspects(item: Register, words: Sequence[int]) -> str:
+    """Return what may be wrong in the device file, and what other orders would give."""
+    others = []
+    of_words = ORDERS if item.count > 1 else (item.word_order,)
+    for word_order, byte_order in product(of_words, ORDERS):
+        if (word_order, byte_order) == (item.word_order, item.byte_order):
+            continue
+        other = replace(item, word_order=word_order, byte_order=byte_order)
+        value = item.scale * raw_of(other, words) + item.offset
+        changed = [
+            f'{name} {new}'
+            for name, new, old in (
+                ('word_order', word_order, item.word_order),
+                ('byte_order', byte_order, item.byte_order),
+            )
+            if new != old
+        ]
+        others.append(f'{value:.5g} with {" and ".join(changed)}')
+    orders = 'word_order, byte_order' if item.count > 1 else 'byte_order'
+    return (
+        f'compare {orders}, type and register with its manual (addresses count from 0); it would '
+        f'read {", ".join(others)}'
+    )
+
+
+ORDERS = ('big', 'little')
+
+COLDEST, HOTTEST = -273.15, 1000.0
+"""Bounds of what a sensor of a machine reads [degC]; those of `range_low` and `range_high`."""
+
+
+def no_temperature(raw: int | float, value: float | str) -> str:
+    """Return why a raw value and the temperature [degC] in it are none; empty if they may be."""
+    if isinstance(value, str):
+        return value
+    if isinstance(raw, float) and 0.0 < abs(raw) < TINY:
+        return f'reads {raw:.3g}, which no sensor does'
+    if not COLDEST < value <= HOTTEST:
+        return f'reads {value:.5g} degC, which no sensor of a machine does'
+    return ''
 
 
 def scaled(scale: float, offset: float, raw: int | float) -> float | str:

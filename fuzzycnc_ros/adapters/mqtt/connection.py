@@ -11,6 +11,7 @@ from typing import Any
 
 from fuzzycnc_ros.adapters.mqtt.broker_file import Broker
 from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
+from fuzzycnc_ros.bags.secret_file import check_secret
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.runtime.component import Health, Level
 
@@ -71,12 +72,14 @@ class BrokerConnection:
         client.on_disconnect, client.on_publish = self._on_disconnect, self._on_publish
         if broker.tls is not None:
             try:
+                if broker.tls.private_key is not None:
+                    check_secret(broker.tls.private_key, 'private_key')
                 client.tls_set(
                     ca_certs=str(broker.tls.ca),
                     certfile=_text(broker.tls.certificate),
                     keyfile=_text(broker.tls.private_key),
                 )
-            except OSError as error:  # those of ssl are among them
+            except (OSError, ValueError) as error:  # those of ssl are among them
                 raise ParameterError(f'tls: a certificate is of no use ({error})') from error
         self._enter()
         client.connect_async(broker.host, broker.port, broker.keep_alive)

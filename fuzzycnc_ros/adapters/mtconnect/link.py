@@ -17,7 +17,7 @@ from datetime import datetime, timezone
 from functools import partial
 from urllib.parse import quote
 
-from fuzzycnc_ros.adapters.modbus.registers import scaled
+from fuzzycnc_ros.adapters.modbus.registers import no_temperature, scaled
 from fuzzycnc_ros.adapters.mtconnect.documents import DataItem, Document, parse
 from fuzzycnc_ros.adapters.readings.devices import Item, MtconnectDevice, Quantity
 from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
@@ -232,10 +232,12 @@ class MtconnectLink(Link):
             raise LinkError('closed')
 
     def _take(self, document: Document) -> None:
-        ahead = _ahead(document.created)
+        ahead, told = _ahead(document.created), document.observations
         with self._lock:
             self._heard = time.monotonic()
-            self._values.update(document.observations)
+            # No others: an agent that tells of ever new ones would fill the memory.
+            wanted = [item.identifier for item in self._found if isinstance(item, DataItem)]
+            self._values.update((name, told[name]) for name in wanted if name in told)
             self._ahead = ahead
 
     def _document(self, request: str, kind: str) -> Document:
@@ -332,7 +334,12 @@ def reading_of(channel: Item, item: DataItem, text: str) -> Reading:
             return f'{place}: expected one of {", ".join(units)} but found {found}'
         factor, offset = units[item.units]
         raw = (factor * raw + offset) / channel.unit
-    return scaled(channel.scale, channel.offset, raw)
+    value = scaled(channel.scale, channel.offset, raw)
+    if channel.quantity is not Quantity.TEMPERATURE:
+        return value
+    if trouble := no_temperature(float(text), value):
+        return f'{place}: {trouble}; is it the right data item, and the right scale?'
+    return value
 
 
 def _checked(document: Document, kind: str) -> Document:

@@ -23,6 +23,7 @@ from fuzzycnc_ros.adapters.yaml_model import (
     read_file,
     wrong,
 )
+from fuzzycnc_ros.bags.secret_file import check_secret
 from fuzzycnc_ros.ros.parameters import ParameterError
 
 POLICIES = ('Basic256Sha256', 'Aes128Sha256RsaOaep', 'Aes256Sha256RsaPss')
@@ -173,13 +174,11 @@ def read_credentials(path: Path) -> tuple[str, str]:
         If others than its owner can read it, or it does not hold the two.
     """
     try:
-        mode = path.stat().st_mode
+        check_secret(path, 'credentials')
     except OSError as error:
         raise ParameterError(f'{path}: expected credentials but: {error.strerror}') from error
-    if mode & 0o077:
-        raise ParameterError(
-            f'{path}: expected a file that only its owner can read; run chmod 600 {path}'
-        )
+    except ValueError as error:
+        raise ParameterError(str(error)) from None
     try:
         found = read_file(path, _Credentials, 'username and password')
     except ParameterError as error:

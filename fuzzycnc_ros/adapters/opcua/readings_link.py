@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from fuzzycnc_ros.adapters.modbus.registers import scaled
+from fuzzycnc_ros.adapters.modbus.registers import no_temperature, scaled
 from fuzzycnc_ros.adapters.opcua.session import (
     MESSAGE_MAX,
     NODES_MAX,
@@ -17,7 +17,7 @@ from fuzzycnc_ros.adapters.opcua.session import (
     unknown,
     value_of,
 )
-from fuzzycnc_ros.adapters.readings.devices import OpcUaDevice, Variable
+from fuzzycnc_ros.adapters.readings.devices import SPINDLE, OpcUaDevice, Variable
 from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
 from fuzzycnc_ros.ros.parameters import ParameterError
 
@@ -146,4 +146,7 @@ def reading_of(channel: Variable, data: Any) -> Reading:
         return f'{channel.place}: expected a number but the variable holds {shown}'
     if raw in channel.open_circuit:
         return f'open circuit (raw value {raw})'
-    return scaled(channel.scale, channel.offset, raw)
+    value = scaled(channel.scale, channel.offset, raw)
+    if channel.name != SPINDLE and (trouble := no_temperature(raw, value)):
+        return f'{channel.place}: {trouble}; is it the right variable, and the right scale?'
+    return value

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from fuzzycnc_ros.adapters.link import LinkError
 from fuzzycnc_ros.adapters.opcua.pins import check_pin
+from fuzzycnc_ros.bags.secret_file import check_secret
 
 if TYPE_CHECKING:
     from asyncua import Client, ua
@@ -233,6 +234,7 @@ class OpcUaSession:
 
         client = self.client
         try:
+            check_secret(security.private_key, 'private_key')
             own = await uacrypto.load_certificate(security.certificate)
             # Servers compare the name in the certificate with the one that we tell.
             with contextlib.suppress(x509.ExtensionNotFound, IndexError):

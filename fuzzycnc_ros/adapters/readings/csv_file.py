@@ -11,8 +11,10 @@ from rclpy.node import Node
 from fuzzycnc_ros.adapters.readings.source import Readings, Source
 from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureAcquisitionConfig
+from fuzzycnc_ros.core.remedies import options_as
 from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.parameters import ParameterError
+from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.records import SECOND, Floats
 
 FIRST_STAMP = SECOND
@@ -22,8 +24,11 @@ FIRST_STAMP = SECOND
 class CsvFile(Source):
     """Play a CSV file: a time column in seconds, or of dates, and one column per sensor in degC.
 
-    Readings carry the times of the file, moved so that the first is at least 1 s; an empty cell
-    is a missing reading.  The whole file is read and checked at once.
+    At the rate of 1 on the wall clock the first row is read now, so that the nodes beside this one
+    take the readings for fresh.  At another rate, or where time is simulated, readings carry the
+    times of the file, moved so that the first is at least 1 s.  An empty cell is a missing
+    reading.  Dates that name no zone are of the zone of this computer, which the environment
+    variable TZ changes.  The whole file is read and checked at once.
 
     Raises
     ------
@@ -37,10 +42,14 @@ class CsvFile(Source):
         self._node = node
         self._path = Path(config.csv_file).expanduser()
         try:
-            sensors, seconds, self._values = _read(self._path, config.csv_time)
+            sensors, seconds, self._values, zone = _read(self._path, config.csv_time)
         except BagError as error:
             raise ParameterError(f'parameter csv_file: {error}') from error
+        if zone:
+            node.get_logger().info(f'{self._path}: times that name no zone read as {zone}')
         self._stamps = np.rint(seconds * SECOND).astype(np.int64)
+        simulated = bool(node.get_parameter('use_sim_time').value)
+        self.makes_time = simulated or config.csv_rate != 1.0
         self._stamps += max(0, FIRST_STAMP - int(self._stamps[0]))
         self._readings = Readings(node, sensors, frame_id)
         self._rate = config.csv_rate
@@ -51,14 +60,24 @@ class CsvFile(Source):
         # Wall time: the file itself makes machine time, no clock does.
         self._timer = wall_timer(node, period, self._play)
 
+    def health(self) -> list[Health]:
+        """Report which row is played, and whose time its stamps are."""
+        values = {'row': str(self._row), 'rows': str(len(self._stamps))}
+        if self._started is None:
+            return [Health('csv_file', Level.OK, 'waiting for a reader', values)]
+        whose = 'times of the file, at csv_rate 1 of the wall clock' if self.makes_time else 'now'
+        return [Health('csv_file', Level.OK, f'stamped with {whose}', values)]
+
     def _play(self) -> None:
         """Publish the rows that are due."""
         if self._started is None:
             if not self._readings.heard:
                 return
             self._started = time.monotonic_ns()
-        elapsed = (time.monotonic_ns() - self._started) * self._rate
-        due = int(self._stamps[0] + elapsed)
+            if not self.makes_time:
+                self._stamps += self._node.get_clock().now().nanoseconds - self._stamps[0]
+        elapsed = int((time.monotonic_ns() - self._started) * self._rate)
+        due = int(self._stamps[0]) + elapsed
         while self._row < len(self._stamps) and self._stamps[self._row] <= due:
             self._readings.publish(int(self._stamps[self._row]), self._values[self._row])
             self._row += 1
@@ -67,16 +86,19 @@ class CsvFile(Source):
             self._node.get_logger().info(f'{self._path}: end of file after {self._row} rows')
 
 
-def _read(path: Path, time_column: str) -> tuple[list[str], Floats, Floats]:
-    """Return sensor names, times [s] and temperatures [degC] of a file."""
+def _read(path: Path, time_column: str) -> tuple[list[str], Floats, Floats, str]:
+    """Return sensor names, times [s] and temperatures [degC] of a file, and its zone if needed."""
     from fuzzycnc_ros.bags.csv_table import read_table  # costs a second of start-up
 
-    table = read_table(path)
-    table.require([time_column])
+    # Whatever else a table may need is an option of the command that makes a bag of it.
+    with options_as('`fuzzycnc import-csv --{}`'.format):
+        table = read_table(path)
+        table.require([time_column])
     sensors = [name for name in table.header if name != time_column]
     if not sensors:
         raise BagError(f'{path}: expected a column for each sensor beside {time_column!r}')
-    times = table.time(time_column, 's')
-    start = times.date or 0.0 if times.form else float(table.column(time_column)[0])
-    values = np.stack([table.column(name) for name in sensors], axis=1)
-    return sensors, start + times.seconds, values
+    with options_as('`fuzzycnc import-csv --{}`'.format):
+        times = table.time(time_column, 's')
+        start = times.date or 0.0 if times.form else float(table.column(time_column)[0])
+        values = np.stack([table.column(name) for name in sensors], axis=1)
+    return sensors, start + times.seconds, values, times.zone.name if times.zone else ''

@@ -8,6 +8,7 @@ docs/how-to/temperature-drivers.md describes it with examples.
 import math
 import re
 import ssl
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 from urllib.parse import urlsplit
@@ -46,6 +47,7 @@ from fuzzycnc_ros.adapters.yaml_model import (
     read_file,
     wrong,
 )
+from fuzzycnc_ros.core.thermal.sensor_limits import LIMIT_BOUNDS
 
 ORDERS = ('big', 'little')
 SPEED_UNITS = {'rpm': 2.0 * math.pi / 60.0, 'rad/s': 1.0}
@@ -75,6 +77,32 @@ class _Scaling(Fields):
     open_circuit: Annotated[tuple[int | float, ...], Numbers()] = Field(
         (), description='Raw values that mean no sensor, before the scale'
     )
+
+
+_Limit = {name: Number(*bounds) for name, bounds in LIMIT_BOUNDS.items()}
+
+
+class _Limits(Fields):
+    """Limits of a sensor in place of the parameters of these names."""
+
+    range_low: Annotated[float, _Limit['range_low']] = Field(
+        default_factory=lambda: math.nan, description='Lowest plausible reading [degC]'
+    )
+    range_high: Annotated[float, _Limit['range_high']] = Field(
+        default_factory=lambda: math.nan, description='Highest plausible reading [degC]'
+    )
+    rate_max: Annotated[float, _Limit['rate_max']] = Field(
+        default_factory=lambda: math.nan, description='Fastest plausible change [K/s]'
+    )
+    noise_band: Annotated[float, _Limit['noise_band']] = Field(
+        default_factory=lambda: math.nan,
+        description='Change between two readings that is never an error [K]',
+    )
+
+    def limits(self) -> tuple[tuple[str, float], ...]:
+        """Return those that are stated."""
+        found = ((name, getattr(self, name)) for name in LIMIT_BOUNDS)
+        return tuple((name, value) for name, value in found if not math.isnan(value))
 
 
 class _Layout(_Scaling):
@@ -170,6 +198,18 @@ class _Speed(Fields):
     )
 
 
+class _SensorRegister(_Limits, _Register):
+    pass
+
+
+class _SensorVariable(_Limits, _Variable):
+    pass
+
+
+class _SensorItem(_Limits, _Item):
+    pass
+
+
 class _SpeedRegister(_Speed, _Register):
     pass
 
@@ -210,7 +250,10 @@ class _Device(Fields):
     def values(self) -> dict[str, Any]:
         """Return what all devices have, the spindle speed as the last channel."""
         sensors, spindle = getattr(self, 'sensors'), getattr(self, SPINDLE)  # noqa: B009
-        channels = [entry.channel(name, 1.0) for name, entry in sensors.items()]
+        channels = [
+            replace(entry.channel(name, 1.0), limits=entry.limits())
+            for name, entry in sensors.items()
+        ]
         axes = self.axes()
         channels += axes.values()
         if spindle is not None:
@@ -253,7 +296,7 @@ class _Modbus(_Layout, _Device):
     INHERITED = tuple(_Layout.model_fields)
     SHORTHAND = 'register'
 
-    sensors: dict[str, Annotated[_Register, Shorthand('register')]] = Field(
+    sensors: dict[str, Annotated[_SensorRegister, Shorthand('register')]] = Field(
         {}, description='Sensors by name; a mere number is the register'
     )
     spindle_speed: _SpeedRegister | None = Field(None, description='Spindle speed')
@@ -314,7 +357,7 @@ class _OpcUa(_Scaling, _Device, ServerFields):
     SHORTHAND = 'node'
 
     protocol: Annotated[str, Word(('opc_ua',))]
-    sensors: dict[str, Annotated[_Variable, Shorthand('node')]] = Field(
+    sensors: dict[str, Annotated[_SensorVariable, Shorthand('node')]] = Field(
         {}, description='Sensors by name; a mere text is the node id'
     )
     spindle_speed: _SpeedVariable | None = Field(None, description='Spindle speed')
@@ -361,7 +404,7 @@ class _Mtconnect(_Scaling, _Device):
     timeout: Annotated[float, Number(0.05, 60.0, 's')] = Field(
         2.0, description='Longest wait for an answer [s]'
     )
-    sensors: dict[str, Annotated[_Item, Shorthand('item')]] = Field(
+    sensors: dict[str, Annotated[_SensorItem, Shorthand('item')]] = Field(
         {}, description='Sensors by name; a mere text is the id or name of the data item'
     )
     positions: dict[str, Annotated[str, Text()]] = Field(

@@ -92,6 +92,16 @@ class DeviceSource(Source):
         wall_timer(node, min(max(look, LOOK_MIN), LOOK_MAX), self._take)
         wall_timer(node, 1.0, self._tell)
 
+    @property
+    def sensor_limits(self) -> tuple[str, ...]:
+        """Limits of single sensors that the file states, as the parameter of this name."""
+        return tuple(
+            f'{channel.name}:{limit}:{value:g}'
+            for device in self._devices
+            for channel in device.channels
+            for limit, value in channel.limits
+        )
+
     def health(self) -> list[Health]:
         """Report on each device, and on the spindle speed where a device has it."""
         items = [device.health() for device in self._health]

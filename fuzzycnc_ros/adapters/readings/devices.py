@@ -40,6 +40,8 @@ class Channel:
         Raw values by which the device says that no sensor is connected.
     largest : float
         Size beyond which a value is none; for the spindle, rad/s.
+    limits : tuple of (str, float)
+        Limits of the sensor in place of those of all, see `SensorLimits`.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Channel:
     offset: float = 0.0
     open_circuit: tuple[int | float, ...] = ()
     largest: float = math.inf
+    limits: tuple[tuple[str, float], ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,7 +17,20 @@ READINGS = 'sensor_readings'
 
 
 class Source:
-    """A driver; this one brings nothing: readings come on the topic by themselves."""
+    """A driver; this one brings nothing: readings come on the topic by themselves.
+
+    Attributes
+    ----------
+    makes_time : bool
+        True if the stamps of its readings are the machine time of the node, not its clock.
+    """
+
+    makes_time = False
+
+    @property
+    def sensor_limits(self) -> tuple[str, ...]:
+        """Limits of single sensors that what is read states, as the parameter of this name."""
+        return ()
 
     def health(self) -> list[Health]:
         """Report on what the readings come from."""

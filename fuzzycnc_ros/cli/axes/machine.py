@@ -186,9 +186,7 @@ def _axis(
     sign: float,
     base: 'MachineData | None',
 ) -> 'tuple[MachineData, dict[str, Any]]':
-    from fuzzycnc_ros.core.identify.axis_data import identified_axis, identified_dead_time
-    from fuzzycnc_ros.core.identify.axis_fit import fit_axis
-    from fuzzycnc_ros.core.identify.frequency import frequency_response
+    from fuzzycnc_ros.core.identify.axis_data import identified_dead_time, identify_axis
     from fuzzycnc_ros.core.machine.machine_data import AxisData, MachineData
     from fuzzycnc_ros.studies.servo.identification_tables import (
         axis_fit_document,
@@ -196,12 +194,12 @@ def _axis(
         axis_fit_table,
     )
 
-    with progress_bar('fitting') as tell:
-        fit = fit_axis(stretches, lambda name, done, total: tell(name, done, total))
-    response = frequency_response(stretches, fit.model.gain)
-    dead_time = identified_dead_time(fit, response)
     before = base.axes.get(axis, AxisData()) if base is not None else AxisData()
-    data = identified_axis(fit, response, stretches, force=force, direction=sign, before=before)
+    with progress_bar('fitting') as tell:
+        fit, response, data = identify_axis(
+            stretches, force=force, direction=sign, before=before, progress=tell
+        )
+    dead_time = identified_dead_time(fit, response)
     show(axis_fit_table(fit, response, dead_time, f'Axis {axis}'))
     for line in axis_fit_remarks(fit, response, force):
         remark(line)

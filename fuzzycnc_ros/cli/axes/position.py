@@ -15,6 +15,7 @@ from fuzzycnc_ros.cli.axes.servo_axis import (
     DEFAULT,
     Axis,
     check_axis,
+    check_controller,
     made_with,
     make_controller,
     signed,
@@ -151,6 +152,7 @@ def position(
     from fuzzycnc_ros.simulation.servo.axes import simulated_axis
     from fuzzycnc_ros.simulation.servo.positioning import position as moved
     from fuzzycnc_ros.studies.servo import positioning_page as shown
+    from fuzzycnc_ros.studies.servo.axis_tuning_tables import LABELS
 
     known = _known(machine_file, axis)
     axis, data = known.name, known.data
@@ -186,18 +188,18 @@ def position(
     if profile is None:
         profile = axis != 'lathe'
     plant = made_with(partial(simulated_axis, data), knobs)
-    # Settings and rules that were learnt are those of the variable universe.
-    own = known.controller if params is None else DEFAULT
+    controller = controller or known.controller(params)
     with warnings_said():
-        chosen = _controller(known, controller, own, plant, params)
-    controller = controller or own
+        chosen = _controller(known, controller, plant, params)
     # It is told of the load, as a machine's data tell of it, or it would take it for a run-away.
     limits = chosen.watch.limits
     pull = abs(signed('--load', load, SHARES, example='10%')) + BESIDE_LOAD
     chosen.watch.limits = replace(limits, load=max(limits.load, min(pull, 1.0)))
     reference = _reference(target, profile, plant.period, data.limits.positioning)
     run = moved(chosen, plant, reference, length)
-    table = shown.positioning_table(run, controller, _title(axis, to, profile))
+    # An axis of a machine file has controllers of its own.
+    label = (LABELS if known.machine else shown.LABELS)[controller]
+    table = shown.positioning_table(run, label, _title(axis, to, profile))
     show(table)
     for line in shown.positioning_remarks(run):
         say(line)
@@ -209,7 +211,7 @@ def position(
             'Settings': str(params) if params is not None else 'built-in defaults',
             **{name.replace('_', ' '): str(value) for name, value in given.items()},
         }
-        page = shown.positioning_page(run, controller, table, facts)
+        page = shown.positioning_page(run, label, table, facts)
         write_report(report, page)
     settings = {'axis': axis, 'profile': profile, 'params': params, **given}
     write_json(json_file, shown.positioning_document(run, controller, settings))
@@ -257,12 +259,13 @@ class KnownAxis:
         assert self.data.plant is not None
         return self.data.plant
 
-    @property
-    def controller(self) -> str:
-        """What controls it if nothing is said."""
-        from fuzzycnc_ros.core.servo.axis_control import UNTUNED_CONTROLLER as UNTUNED
+    def controller(self, params: Path | None) -> str:
+        """Return the controller that is taken without an option, with settings or without."""
+        from fuzzycnc_ros.cli.axes.servo_machine import own_controller
 
-        return self.data.controller or UNTUNED
+        # Settings of a built-in axis are those of the variable universe.
+        plain = self.machine or params is None
+        return own_controller(self.data, params) if plain else DEFAULT
 
 
 def _known(machine_file: str | None, axis: str) -> KnownAxis:
@@ -279,10 +282,12 @@ def _known(machine_file: str | None, axis: str) -> KnownAxis:
 
 
 def _controller(
-    known: KnownAxis, name: str, own: str, plant: 'AxisPlant', params: Path | None
+    known: KnownAxis, name: str, plant: 'AxisPlant', params: Path | None
 ) -> 'AxisController':
     if not known.machine:
-        return make_controller(name or own, known.name, plant, _settings(params))
+        settings = _settings(params)
+        check_controller(name, known.name, settings)
+        return make_controller(name, known.name, plant, settings)
     from fuzzycnc_ros.cli.axes.servo_machine import machine_controller
 
     return machine_controller(known.data, known.name, name, params)

@@ -17,6 +17,7 @@ from fuzzycnc_ros.cli.axes.servo_axis import (
     Axis,
     Out,
     check_axis,
+    check_controller,
     make_axis,
     make_controller,
     warnings_said,
@@ -328,6 +329,7 @@ def _built_in(axis: str, controller: str, params: Path | None) -> Any:
             f'--controller: expected one of {", ".join(TUNABLE)} but found {controller!r}'
         )
     settings = read_settings(params) if params is not None else None
+    check_controller(controller, axis, settings)
     return make_controller(controller, axis, make_axis(axis, {}), settings, unstable=True)
 
 

@@ -106,6 +106,22 @@ def made_with(make: Callable[..., AxisPlant], knobs: Mapping[str, tuple[str, Any
         raise ValueError(text) from error
 
 
+def check_controller(name: str, axis: str, settings: ServoSettings | None) -> None:
+    """Refuse a controller that is unknown or not for an axis, and settings of no use to it."""
+    if name not in CHOICES:
+        raise ValueError(f'--controller: expected one of {", ".join(CHOICES)} but found {name!r}')
+    if axis == 'ballscrew' and name not in (DEFAULT, 'pid'):
+        raise ValueError(
+            f'--controller: expected {DEFAULT} or pid for the ballscrew axis but found {name}; '
+            'the others are set for the lathe axis'
+        )
+    if settings is not None and name not in TUNABLE:
+        raise ValueError(
+            f'--params: expected one of the controllers {", ".join(TUNABLE)} but found {name}, '
+            'which has no such parameters'
+        )
+
+
 def make_controller(
     name: str,
     axis: str,
@@ -121,16 +137,8 @@ def make_controller(
     Raises
     ------
     ValueError
-        If it is unknown or not for this axis, or if the settings are of no use to it or leave a
-        loop that does not settle.
+        If the settings are those of another axis, or leave a loop that does not settle.
     """
-    if name not in CHOICES:
-        raise ValueError(f'--controller: expected one of {", ".join(CHOICES)} but found {name!r}')
-    if axis == 'ballscrew' and name not in (DEFAULT, 'pid'):
-        raise ValueError(
-            f'--controller: expected {DEFAULT} or pid for the ballscrew axis but found {name}; '
-            'the others are set for the lathe axis'
-        )
     if settings is None:
         if axis == 'ballscrew':
             from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
@@ -142,11 +150,6 @@ def make_controller(
         from fuzzycnc_ros.components.servo import controllers
 
         return controllers.make_controller(name, plant.linear())
-    if name not in TUNABLE:
-        raise ValueError(
-            f'--params: expected one of the controllers {", ".join(TUNABLE)} but found {name}, '
-            'which has no such parameters'
-        )
     if settings.axis not in ('', axis):
         raise ValueError(
             f'{settings.path}: expected settings for the {axis} axis but found those for the '

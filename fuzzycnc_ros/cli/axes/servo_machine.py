@@ -61,6 +61,13 @@ def machine_axis(file: str, axis: str) -> tuple[MachineData, str, AxisData]:
     return machine, name, machine.axes[name]
 
 
+def own_controller(data: AxisData, params: Path | None) -> str:
+    """Return the controller that an axis has without an option, with learnt rules or without."""
+    from fuzzycnc_ros.core.servo.axis_control import UNTUNED_CONTROLLER, WITH_RULES
+
+    return data.controller or (UNTUNED_CONTROLLER if params is None else WITH_RULES)
+
+
 def machine_controller(
     data: AxisData, axis: str, name: str, params: Path | None
 ) -> AxisController:
@@ -108,11 +115,10 @@ def analysed_controller(
     ValueError
         If it is not clear which, or the controller is of a kind without such an analysis.
     """
-    from fuzzycnc_ros.core.servo.axis_control import UNTUNED_CONTROLLER
     from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 
     _, axis, data = machine_axis(file, axis)
-    chosen = name or data.controller or UNTUNED_CONTROLLER
+    chosen = name or own_controller(data, params)
     controller = machine_controller(data, axis, chosen, params)
     if not isinstance(controller, VariableUniverseController):
         raise ValueError(
@@ -170,7 +176,7 @@ def tune_machine_axis(
         remark(line)
     winner = found.winner
     axes = dict(machine.axes)
-    axes[name] = replace(data, controller=winner.name, settings=winner.settings)
+    axes[name] = found.tuned(data)
     about = (
         f'controller of {name}: tuned, seed {effort.seed}, {winner.trials} trials for each of '
         f'{len(controllers)} kinds'

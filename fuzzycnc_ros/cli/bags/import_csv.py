@@ -11,7 +11,7 @@ import typer
 
 from fuzzycnc_ros.cli.completion import one_of
 from fuzzycnc_ros.cli.console import JsonFile, check_folder, progress_bar, say, words, write_json
-from fuzzycnc_ros.cli.options import OptionalPath, given
+from fuzzycnc_ros.cli.options import OptionalPath, SensorLimits, given
 from fuzzycnc_ros.cli.quantities import TIMES, number_in
 
 OptionalText = Optional[str]  # noqa: UP045 - typer 0.9 does not read the newer form
@@ -39,6 +39,14 @@ def import_csv(
             show_default=False,
             help='Form of dates or times of day, such as %d.%m.%Y %H:%M:%S or '
             'dd.mm.yyyy hh:mm:ss [default: usual ones are recognised].',
+        ),
+    ] = None,
+    time_zone: Annotated[
+        OptionalText,
+        given(
+            'Zone of dates that name none, such as Europe/Berlin, UTC or +01:00 [default: that '
+            'of this computer].',
+            metavar='ZONE',
         ),
     ] = None,
     temperature: Annotated[
@@ -74,6 +82,7 @@ def import_csv(
         OptionalText,
         given('rpm or rad/s [default: rpm].', metavar='UNIT', complete=one_of(('rpm', 'rad/s'))),
     ] = None,
+    sensor_limits: SensorLimits = None,
     rename: Annotated[
         Texts,
         typer.Option(
@@ -140,9 +149,10 @@ def import_csv(
     mapping: Annotated[
         OptionalPath,
         given(
-            'File with these settings: keys time, time_unit, time_format, temperatures, '
-            'temperature_unit, displacements, spindle_speed, spindle_speed_unit, rename, '
-            'encoding, header, delimiter, decimal, rows, zero, resample, machine, epoch. '
+            'File with these settings: keys time, time_unit, time_format, time_zone, '
+            'temperatures, temperature_unit, sensor_limits, displacements, spindle_speed, '
+            'spindle_speed_unit, '
+            'rename, encoding, header, delimiter, decimal, rows, zero, resample, machine, epoch. '
             'Options overrule it.',
             metavar='FILE.yaml',
         ),
@@ -172,8 +182,10 @@ def import_csv(
         'time': time,
         'time_unit': time_unit,
         'time_format': time_format,
+        'time_zone': time_zone,
         'temperatures': list(words(temperature)) if temperature else None,
         'temperature_unit': temperature_unit,
+        'sensor_limits': sensor_limits or None,
         'displacements': list(words(displacement)) if displacement else None,
         'spindle_speed': speed,
         'spindle_speed_unit': speed_unit,
@@ -262,7 +274,7 @@ def _read_mapping(path: Path, known: list[str]) -> dict[str, Any]:
 
 def _setting(path: Path, key: str, value: Any) -> Any:
     """Return a setting in the form that `CsvMapping` takes; YAML types it by its looks."""
-    if key in ('temperatures', 'displacements'):
+    if key in ('temperatures', 'displacements', 'sensor_limits'):
         if not isinstance(value, list):
             value = [value]
         return [str(item) for item in value]

@@ -24,7 +24,7 @@ from fuzzycnc_ros.cli.console import (
     JsonFile,
     check_at_least,
     check_folder,
-    check_new,
+    check_new_folder,
     check_ros,
     complain,
     write_json,
@@ -87,7 +87,7 @@ def record(
     check_at_least('--duration', duration, 0.0)
     machine = machine_name(machine) if machine.strip('/') else ''
     keeping = keeping_parameters(split_size, split_duration, budget, free_min, ship)
-    check_new(out)
+    check_new_folder(out)
     check_folder(json_file)
     check_ros('recording')
     prepare_environment()

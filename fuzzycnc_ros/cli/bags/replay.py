@@ -3,14 +3,14 @@
 """`fuzzycnc replay`: recompute what the components published and compare."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Optional
 
 import typer
 
 from fuzzycnc_ros.cli.console import JsonFile, check_folder, progress_bar, say, show, write_json
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.bags.replay import ReplayReport
+    from fuzzycnc_ros.bags.replay import ReplayReport, TopicComparison
 
 
 def replay(
@@ -18,6 +18,14 @@ def replay(
     exact: Annotated[
         bool, typer.Option('--exact', help="Accept no rounding of another processor's arithmetic.")
     ] = False,
+    given: Annotated[
+        Optional[list[str]],  # noqa: UP045 - typer 0.9 does not read the newer form
+        typer.Option(
+            '--given',
+            metavar='TOPIC',
+            help='Topic that another node wrote, so that it is taken as it is; repeat.',
+        ),
+    ] = None,
     hashes: Annotated[
         bool,
         typer.Option('--hash', help='Only print the hash of each topic; recompute nothing.'),
@@ -28,10 +36,13 @@ def replay(
 
     Every component is set up as its recorded configuration says and gets the recorded inputs in
     the order of machine time. What it gives must be what was recorded; the printed hash is the
-    same for equal runs, live or simulated. A bag from another kind of processor may differ in
-    the last digits, which is said and accepted unless --exact is given.
+    same for equal runs, live or simulated. A bag from another kind of processor, or of
+    other libraries, may differ in the last digits, which is said and accepted unless --exact is
+    given.
 
-    Ends with 1 if anything else differs.
+    Every recorded topic that a node of this package writes is in the table. What machines and
+    foreign nodes wrote is taken as it is, and listed so. Ends with 1 if anything else differs, or
+    if not every recorded output could be recomputed.
 
     With --hash nothing is recomputed: what the bag holds on each topic is hashed in its canonical
     form, in which equal runs agree, and the outputs together.
@@ -41,6 +52,7 @@ def replay(
         fuzzycnc replay shift --exact --json replay.json
         fuzzycnc replay shift --hash
     """
+    from fuzzycnc_ros.bags.origins import GIVEN_REMEDY
     from fuzzycnc_ros.bags.replay import replay as recompute
     from fuzzycnc_ros.studies.page.table import Column, Table
 
@@ -49,7 +61,7 @@ def replay(
         _show_hashes(bag, json_file)
         return
     with progress_bar('replaying') as tell:
-        report = recompute(bag, progress=tell)
+        report = recompute(bag, given=given or (), progress=tell)
     columns = (
         Column('Topic', numeric=False),
         Column('recorded'),
@@ -58,19 +70,26 @@ def replay(
         Column('first difference', numeric=False),
     )
     rows = tuple(
-        (t.topic, str(t.recorded), str(t.recomputed), str(t.identical), t.first_difference)
+        (t.topic, str(t.recorded), str(t.recomputed), str(t.identical), _remark(t))
         for t in report.topics
     )
     differing = frozenset(row for row, topic in enumerate(report.topics) if not topic.equivalent)
     show(Table('Messages', columns, rows, highlight=differing))
+    if any(GIVEN_REMEDY in topic.not_recomputed for topic in report.topics):
+        say('note: a topic that another node wrote is named as given by --given TOPIC')
+    if report.given:
+        origin = Column('Topic', numeric=False), Column('recorded'), Column('', numeric=False)
+        taken = tuple((item.topic, str(item.recorded), item.origin) for item in report.given)
+        show(Table('Taken as they are', origin, taken))
     for note in report.notes:
         say(f'note: {note}')
-    say(f'{_verdict(report)}, hash {report.hash}')
+    say(f'{_verdict(report)}, hash {report.hash}' if report.hashes else _verdict(report))
     write_json(
         json_file,
         {
             'identical': report.identical,
             'equivalent': report.equivalent,
+            'arithmetic': report.arithmetic,
             'hash': report.hash,
             'topics': {
                 t.topic: {
@@ -79,9 +98,15 @@ def replay(
                     'identical': t.identical,
                     'largest_difference': t.largest_difference,
                     'first_difference': t.first_difference,
+                    'not_recomputed': t.not_recomputed,
+                    'left_out': t.left_out,
                     'hash': report.hashes.get(t.topic),
                 }
                 for t in report.topics
+            },
+            'given': {
+                item.topic: {'recorded': item.recorded, 'origin': item.origin}
+                for item in report.given
             },
             'notes': report.notes,
         },
@@ -102,10 +127,26 @@ def _show_hashes(bag: Path, json_file: Path | None) -> None:
     write_json(json_file, {'hash': whole, 'topics': found})
 
 
+def _remark(topic: 'TopicComparison') -> str:
+    if topic.not_recomputed:
+        return f'not recomputed: {topic.not_recomputed}'
+    if topic.left_out:
+        return 'not recorded, as asked for'
+    return topic.first_difference
+
+
 def _verdict(report: 'ReplayReport') -> str:
     if report.identical:
         return 'identical'
     if report.equivalent:
-        largest = max(topic.largest_difference for topic in report.topics)
-        return f'equal up to rounding ({largest:.0e}; recorded on another kind of processor)'
-    return 'DIFFERENT'
+        largest = max(topic.largest_difference for topic in report.topics if not topic.left_out)
+        why = 'the bag does not say on what processor it was recorded'
+        if report.arithmetic:
+            why = f'recorded {report.arithmetic}'
+        return f'equal up to rounding ({largest:.0e}; {why})'
+    if report.differing:
+        return 'DIFFERENT'
+    missing = [topic.topic for topic in report.topics if topic.not_recomputed]
+    if missing:
+        return f'NOT ALL RECOMPUTED: {", ".join(missing)}'
+    return 'NOTHING TO COMPARE: no output was recorded'

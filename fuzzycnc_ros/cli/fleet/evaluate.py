@@ -12,6 +12,7 @@ from fuzzycnc_ros.cli.console import (
     JsonFile,
     check_folder,
     progress_bar,
+    remark,
     say,
     show,
     write_json,
@@ -27,6 +28,7 @@ from fuzzycnc_ros.cli.fleet.crews import (
 )
 from fuzzycnc_ros.cli.models.many_bags import ManyBags
 from fuzzycnc_ros.cli.options import OptionalPath, given
+from fuzzycnc_ros.studies.page.html import Remark
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.studies.fleet.evaluation import FleetSummary
@@ -69,6 +71,9 @@ def evaluate(
     An unchanged bag, by size and time of change of its files, is not even read. A command that was
     killed goes on where it was. Figures do not depend on the number of workers.
 
+    Where the band of a model holds far less than 95 % of what is left, over all bags of a machine,
+    the first lines say so, and `false_bands` of --json; `fuzzycnc evaluate` says what is far.
+
         fuzzycnc fleet evaluate archive --model mill.json --out shop.parquet
         fuzzycnc fleet evaluate 'archive/2026-*' --model models --out shop.parquet --workers 8
         fuzzycnc fleet evaluate archive --model models --out shop.parquet --dask tcp://10.0.0.7:8786
@@ -89,6 +94,8 @@ def evaluate(
             tell=tell,
         )
     problems = [*broken, *summary.problems]
+    for line in summary.false_bands():
+        remark(Remark(line, True))
     say(summary_text(summary))
     say(f'{out}: written, {summary.rows} rows')
     write_json(
@@ -100,6 +107,7 @@ def evaluate(
             'judged': summary.judged,
             'from_cache': summary.from_cache,
             'models': {item.label: item.hash for item in models},
+            'false_bands': summary.false_bands(),
             'left_out': [item._asdict() for item in problems],
         },
     )

@@ -29,7 +29,16 @@ from fuzzycnc_ros.cli.fleet.crews import (
     end_with,
 )
 from fuzzycnc_ros.cli.models.many_bags import ManyBags
-from fuzzycnc_ros.cli.options import ALL, Clusters, Interval, Seed, Sensors, Speed, names_of
+from fuzzycnc_ros.cli.options import (
+    ALL,
+    Clusters,
+    Interval,
+    Seed,
+    SensorLimits,
+    Sensors,
+    Speed,
+    names_of,
+)
 from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, STANDARD, UNCOMPENSATED
 from fuzzycnc_ros.papers.names import COMPARED
 
@@ -66,9 +75,10 @@ def train(
     dask: Dask = None,
     workers: Workers = None,
     machine_by: MachineBy = 'bag',
-    interval: Interval = 60.0,
+    interval: Interval = None,
     sensors: Sensors = 'auto',
     clusters: Clusters = 5,
+    sensor_limits: SensorLimits = None,
     speed: Speed = True,
     seed: Seed = 0,
     force: Annotated[
@@ -112,7 +122,7 @@ def train(
 
     found, problems = _by_machine(
         bags,
-        partial(train_machine, options=options),
+        partial(train_machine, options=options, sensor_limits=sensor_limits or ()),
         runs,
         dask,
         workers,
@@ -149,9 +159,10 @@ def compare(
     dask: Dask = None,
     workers: Workers = None,
     machine_by: MachineBy = 'bag',
-    interval: Interval = 60.0,
+    interval: Interval = None,
     sensors: Sensors = 'auto',
     clusters: Clusters = 5,
+    sensor_limits: SensorLimits = None,
     speed: Speed = True,
     seed: Seed = 0,
     json_file: JsonFile = None,
@@ -177,7 +188,12 @@ def compare(
         'random_state': seed,
     }
     found, problems = _by_machine(
-        bags, partial(compare_machine, options=options), runs, dask, workers, machine_by
+        bags,
+        partial(compare_machine, options=options, sensor_limits=sensor_limits or ()),
+        runs,
+        dask,
+        workers,
+        machine_by,
     )
     if any(item.result for item in found):
         show(compared_table(found))
@@ -242,7 +258,7 @@ def trained_table(found: 'Sequence[OfMachine]') -> 'Table':
 
 
 def compared_table(found: 'Sequence[OfMachine]') -> 'Table':
-    """Return which model is best on each machine and channel, and what it leaves."""
+    """Return which model that can run is best on each machine and channel, and what it leaves."""
     from fuzzycnc_ros.studies.page.table import Column, Table
     from fuzzycnc_ros.studies.thermal.summary import candidate_label
 
@@ -269,7 +285,7 @@ def compared_table(found: 'Sequence[OfMachine]') -> 'Table':
         Column('Channel', numeric=False),
         Column('held out'),
         Column('uncompensated'),
-        Column('Best model', numeric=False),
+        Column('Best model that a machine can run', numeric=False),
         Column('rmse', 'best'),
         Column('rmse', 'automatic'),
     )

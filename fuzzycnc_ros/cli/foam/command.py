@@ -24,7 +24,6 @@ from fuzzycnc_ros.cli.foam.compensate import compensate, read_model_file
 from fuzzycnc_ros.cli.options import OptionalPath, OptionalText, Report, choice, given
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
     from fuzzycnc_ros.studies.soft.foam_records import Samples
 
 HELP = """Compensate patterns on soft material: show, train, compensate, learn.
@@ -35,10 +34,12 @@ HELP = """Compensate patterns on soft material: show, train, compensate, learn.
         --step 3mm --out quilt_compensated.ngc
     fuzzycnc foam learn monday --out offsets.json
 
-`deformation_compensator` uses both files on a machine.
+`foam compensate` and `deformation_compensator` take both kinds of files.
 """
 
 FEATURES = ('load', 'physical', 'thickness', 'paper')
+
+TRAINED = ('auto', 'none', 'ridge', 'gaussian_process', 'network')
 
 Force = Annotated[bool, typer.Option('--force', help='Overwrite the file.')]
 
@@ -98,14 +99,18 @@ def train(
         ),
     ],
     out: Annotated[Path, typer.Option(metavar='MODEL', help='Model file to write.')],
+    method: Annotated[
+        str,
+        choice('Model: what held-out samples choose, or one of the others by name.', TRAINED),
+    ] = 'auto',
     consequent: Annotated[
-        str, choice('Rules with a hidden layer, or linear ones.', ('nts', 'sts'))
+        str, choice('Rules of the network: with a hidden layer, or linear ones.', ('nts', 'sts'))
     ] = 'nts',
     features: Annotated[
         str,
         choice(
-            'Inputs: drift per load of the foot, physical ones, those of the paper with the '
-            'thickness, those of the paper.',
+            'Inputs of the network: drift per load of the foot, physical ones, those of the '
+            'paper with the thickness, those of the paper.',
             FEATURES,
         ),
     ] = 'load',
@@ -128,18 +133,21 @@ def train(
     depth, type, step and thickness, and the offset that it called for per 50 mm of feed. Later
     sides of recorded paths, and compensated ones, are taken by the fading of the drift. Each model
     is judged on samples that were held out; samples of one sheet, path or equal process stay
-    together.
+    together. No correction, ridge regression, a Gaussian process and the fuzzy network compete: a
+    model is taken over a simpler one only if it is better beyond chance. Samples that contradict
+    the others are left out and named.
 
     With --adapt nothing is trained: two gains, within 0.5 and 2, bring a model to another sheet or
     foot from a single run.
 
         fuzzycnc foam train calibration --out model.json
-        fuzzycnc foam train samples.csv --consequent sts --out linear.json --report training.html
+        fuzzycnc foam train samples.csv --method network --out fuzzy.json --report training.html
         fuzzycnc foam train monday --adapt model.json --out model_monday.json
     """
     from fuzzycnc_ros.studies.soft.foam_records import read_samples
 
     for option, value, known in (
+        ('--method', method, TRAINED),
         ('--consequent', consequent, ('nts', 'sts')),
         ('--features', features, FEATURES),
     ):
@@ -156,12 +164,13 @@ def train(
         return
     samples = read_samples(sources)
     settings = {'consequent': consequent, 'features': features, 'random_state': seed}
-    _train(samples, settings, baselines, out, report, json_file)
+    _train(samples, settings, method, baselines, out, report, json_file)
 
 
 def _train(
     samples: 'Samples',
     settings: dict[str, Any],
+    method: str,
     baselines: bool,
     out: Path,
     report: Path | None,
@@ -169,75 +178,59 @@ def _train(
 ) -> None:
     """Judge and train, and write what came of it."""
     from fuzzycnc_ros.core.deformation.model import write_model
-    from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
     from fuzzycnc_ros.core.names import text_hash
     from fuzzycnc_ros.studies.soft import foam_page as shown
     from fuzzycnc_ros.studies.soft import foam_training as judged
 
-    judged.check_enough(samples.x, samples.s, TSFuzzyNetwork(**settings).n_rules)
-
-    used, other = settings['consequent'], 'sts' if settings['consequent'] == 'nts' else 'nts'
-    names = {'nts': 'hidden layer (NTS)', 'sts': 'linear rules (STS)'}
-    rivals = [
-        judged.network(f'{names[used]}, in use', **settings),
-        judged.network(names[other], **{**settings, 'consequent': other}),
-    ]
+    other = 'sts' if settings['consequent'] == 'nts' else 'nts'
+    others = [judged.network(judged.CONSEQUENTS[other], **{**settings, 'consequent': other})]
     lines = list(samples.lines)
     if baselines:
         try:
-            rivals += judged.baselines(settings['features'], settings['random_state'])
+            others += judged.baselines(settings['features'], settings['random_state'])
         except ModuleNotFoundError as error:
             lines.append(f'no plain regressors: {error}; pip install "fuzzycnc_ros[ml]"')
     with progress_bar('training') as tell:
-        found = judged.judge_training(
-            samples.x, samples.s, samples.groups, rivals, seed=settings['random_state'],
-            progress=tell,
-        )  # fmt: skip
-        network = TSFuzzyNetwork(**settings).fit(samples.x, samples.s, samples.groups)
-    text = write_model(network.model_)
-    lines += [f'note: {problem}' for problem in network.problems_]
-    lines.append(_gate_line(network))
+        found = judged.train_model(samples, settings, method, others=others, progress=tell)
+    text = write_model(found.model)
+    lines += found.lines
     for line in lines:
         say(line)
-    for table in (shown.coverage_table(found), shown.training_table(found)):
+    for table in (shown.coverage_table(found.judged), shown.training_table(found.judged)):
         say('')
         show(table)
     write_text(out, text)
     say(f'{out}: written, hash {text_hash(text)[:16]}')
     if report is not None:
         facts = {
-            'Consequents': names[used],
-            'Inputs': settings['features'],
-            'Rules': str(len(network.model_.network.antecedent.center)),
-            'Penalty': f'{network.ridge_:g}',
+            'Model': found.judged.errors[found.judged.used].name,
+            'Inputs': found.model.features,
+            'Rules': str(len(found.model.network.antecedent.center)),
             'Seed': str(settings['random_state']),
         }
-        write_report(report, shown.training_page(found, lines, facts))
-    document = shown.training_document(found)
+        write_report(report, shown.training_page(found.judged, lines, facts))
+    document = shown.training_document(found.judged)
     write_json(
         json_file,
-        {'model': str(out), 'hash': text_hash(text), 'notes': lines, **settings, **document},
-    )
-
-
-def _gate_line(network: 'TSFuzzyNetwork') -> str:
-    """Return what the model lets pass, in words."""
-    gate = network.model_.gate
-    low, high = gate.low, gate.high
-    return (
-        f'the model is for directions {low[0]:g} to {high[0]:g}° and their opposites, steps '
-        f'{low[3]:g} to {high[3]:g} mm, thicknesses {low[4]:g} to {high[4]:g} mm, depths '
-        f'{gate.ratio_low:.2f} to {gate.ratio_high:.2f} of the thickness'
-    )
+        {
+            'model': str(out), 'hash': text_hash(text), 'notes': lines, 'method': found.method,
+            'outliers': found.outliers, **settings, **document,
+        },
+    )  # fmt: skip
 
 
 def _adapt(samples: 'Samples', source: Path, out: Path, json_file: Path | None) -> None:
     """Fit the gains of a model to samples, and write it."""
-    from fuzzycnc_ros.core.deformation.model import write_model
+    from fuzzycnc_ros.core.deformation.model import DeformationModel, write_model
     from fuzzycnc_ros.core.names import text_hash
     from fuzzycnc_ros.studies.soft.foam_learning import fit_gains
 
     model = read_model_file(source)
+    if not isinstance(model, DeformationModel):
+        raise ValueError(
+            f'{source}: expected a model of `foam train` but found offsets of one track, which '
+            'have no gains'
+        )
     for line in samples.lines:
         say(line)
     try:

@@ -30,7 +30,7 @@ from fuzzycnc_ros.studies.number_table import table_cells
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.deformation.compensation import CompensatedPath
-    from fuzzycnc_ros.core.deformation.model import DeformationModel
+    from fuzzycnc_ros.core.deformation.soft_model import SoftModel
     from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial, StitchPath
     from fuzzycnc_ros.studies.page.table import Table
 
@@ -77,7 +77,9 @@ def compensate(
             'columns x_mm, y_mm and, if wanted, kind (1 arc, 2 line) and turn (1 left, -1 right).',
         ),
     ],
-    model: Annotated[Path, typer.Option(metavar='MODEL', help='Model file of `foam train`.')],
+    model: Annotated[
+        Path, typer.Option(metavar='MODEL', help='File of `foam train` or `foam learn`.')
+    ],
     thickness: Annotated[
         str, typer.Option(metavar='LENGTH', help='Thickness of the sheet, such as 15mm.')
     ],
@@ -106,7 +108,7 @@ def compensate(
     Moves with feed in X and Y are divided into stitches, a G1 each; a figure goes from one rapid
     to the next, and its first point stays where it is. All other lines stay as they are. Steps
     that the model was not trained for are not compensated, and listed by their lines, like those
-    at which a limit was at work.
+    at which a limit was at work. A file of `foam learn` is for the figure that it was learnt on.
 
         fuzzycnc foam compensate quilt.ngc --model model.json --thickness 15mm --depth 6mm \
             --step 3mm --size 150x100mm --out quilt_compensated.ngc
@@ -134,6 +136,11 @@ def compensate(
             text = shifted_points(source, job) if table else shifted_program(source, units, job)
         except ValueError as error:
             raise ValueError(f'{path}: {error}') from error
+        if job.elsewhere and job.refused == job.steps:
+            raise ValueError(
+                f'{path}: expected the stitches that {model} was learnt on but found '
+                f'{job.elsewhere}; give the path that was stitched then, without its offsets'
+            )
         with new_program(out) as new:
             new.write(text)
     with redirect_stdout(sys.stderr) if str(out) == STREAM else nullcontext():
@@ -143,6 +150,10 @@ def compensate(
             f'{job.steps:,} stitches, {job.refused:,} of them not compensated, {job.limited:,} '
             f'limited; largest offset {1e3 * job.largest:.3f} mm'
         )
+        if job.elsewhere:
+            say(f'note: {model} is for one figure alone; for the others it has {job.elsewhere}')
+        if not job.largest and not job.refused:
+            say(f'note: {model} holds no correction; the path is as it was')
         if str(out) != STREAM:
             say(f'{out}: the compensated path')
     write_json(json_file, job.document())
@@ -152,22 +163,28 @@ class Job:
     """Compensates paths, and keeps what is to be said of them."""
 
     def __init__(
-        self, model: DeformationModel, material: SheetMaterial, depth: float, step: float
+        self, model: SoftModel, material: SheetMaterial, depth: float, step: float
     ) -> None:
         self.model, self.material, self.depth, self.step = model, material, depth, step
         self.flags: list[LineFlags] = []
         self.steps = self.refused = self.limited = 0
         self.largest = 0.0
+        self.elsewhere = ''  # why learnt offsets are not for a figure
 
     def compensated(self, path: StitchPath, lines: Sequence[int]) -> CompensatedPath:
         """Compensate a path whose steps are from certain lines."""
         import numpy as np
 
-        from fuzzycnc_ros.core.deformation.compensation import compensate_path
+        from fuzzycnc_ros.core.deformation.compensation import CompensatedPath
+        from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets
+        from fuzzycnc_ros.core.deformation.soft_model import compensated
 
-        found = compensate_path(
-            path, self.material, self.model.predict, gate=self.model, support=self.model.support
-        )
+        if isinstance(self.model, StitchOffsets) and self.model.other_points(path.points):
+            self.elsewhere = self.model.other_points(path.points)
+            self.steps += len(path.lengths)
+            self.refused += len(path.lengths)
+            return CompensatedPath.unchanged(path.points)
+        found = compensated(path, self.material, self.model)
         refused = found.refused
         limited = (found.flag != 0) & ~refused
         self.steps += len(refused)
@@ -343,19 +360,19 @@ def _flags_table(flags: Sequence[LineFlags]) -> Table:
     return Table('Steps that were not compensated, or limited', columns, tuple(rows))
 
 
-def read_model_file(path: Path) -> DeformationModel:
-    """Return the model of a file.
+def read_model_file(path: Path) -> SoftModel:
+    """Return the model of a file, or the offsets of a track.
 
     Raises
     ------
     ValueError
         If there is none, or it is no model.
     """
-    from fuzzycnc_ros.core.deformation.model import read_model
+    from fuzzycnc_ros.core.deformation.soft_model import read_soft_model
 
     if not path.is_file():
         raise ValueError(f'{path}: expected a model file but found none')
     try:
-        return read_model(path.read_text(encoding='utf-8'))
+        return read_soft_model(path.read_text(encoding='utf-8'))
     except ValueError as error:
         raise ValueError(f'{path}: {error}') from error

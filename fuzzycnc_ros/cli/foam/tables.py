@@ -13,17 +13,13 @@ import numpy as np
 from fuzzycnc_ros.cli.foam.compensate import sheet_size
 from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
 from fuzzycnc_ros.core.deformation.samples import RecordedPath
-from fuzzycnc_ros.core.deformation.stitch_path import LINE, SheetMaterial
+from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial
 from fuzzycnc_ros.studies.number_table import read_numbers
-from fuzzycnc_ros.studies.soft.foam_records import Recordings
+from fuzzycnc_ros.studies.soft.foam_records import Recordings, recorded_run
 
 COMMANDED = ('x_mm', 'y_mm')
 OFFSET = ('offset_x_mm', 'offset_y_mm')
 STITCHED = ('stitched_x_mm', 'stitched_y_mm')
-CLOSEST, FARTHEST = 1e-4, 0.1
-"""Spacing of stitches that is likely [m]."""
-APART = 0.05
-"""Largest likely distance of a stitch from its commanded place [m]."""
 
 
 @dataclass(frozen=True)
@@ -91,35 +87,14 @@ def _run(path: Path, sheet: SheetMaterial, path_id: str) -> RecordedPath:
     known = found.columns[4:]
     if len(known) == 1:
         raise ValueError(f'{path}: line 1: expected both {" and ".join(OFFSET)} or neither')
-    if len(found.values) < 2:
-        raise ValueError(f'{path}: expected two points or more but found {len(found.values)}')
     values = 1e-3 * found.values
     commanded, stitched = values[:, :2], values[:, 2:4]
-    offset = values[:, 4:] if known else np.zeros_like(commanded)
-    apart = np.hypot(*(stitched - commanded).T)
-    if apart.max() > APART:
-        line = int(found.lines[int(apart.argmax())])
-        raise ValueError(
-            f'{path}: line {line}: expected a stitch within {1e3 * APART:g} mm of its place but '
-            f'found it {1e3 * apart.max():.4g} mm away; compare units and origin of both'
-        )
-    spacing = float(np.median(np.hypot(*np.diff(commanded, axis=0).T)))
-    if not CLOSEST < spacing < FARTHEST:
-        raise ValueError(
-            f'{path}: expected stitches {1e3 * CLOSEST:g} to {1e3 * FARTHEST:g} mm apart but '
-            f'found them {1e3 * spacing:.3g} mm apart; lengths are in millimetres'
-        )
-    steps = len(values) - 1
-    return RecordedPath(
+    return recorded_run(
+        commanded,
+        stitched,
+        values[:, 4:] if known else np.zeros_like(commanded),
         path_id=path_id,
         material=sheet,
-        nominal=commanded - offset,
-        offset=offset,
-        stitched=stitched,
-        primitive=np.zeros(steps, np.int64),
-        kind=np.full(steps, float(LINE)),
-        turn=np.zeros(steps),
-        depth=np.zeros(steps),
-        step=np.zeros(steps),
         source=str(path),
+        places=[f'line {number}' for number in found.lines],
     )

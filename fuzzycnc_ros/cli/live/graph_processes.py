@@ -6,13 +6,13 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from fuzzycnc_ros.ros.bring_up import NodeSpec, stop_timeout
+from fuzzycnc_ros.ros.leftovers import TemporaryFolder, remove_leftovers
 from fuzzycnc_ros.ros.presence import TAKEOVER, GraphError
 from fuzzycnc_ros.ros.processes import (
     child_set_up,
@@ -96,8 +96,9 @@ class GraphProcesses:
         self.machine = machine.strip('/')
         self._namespace = f'/{self.machine}'
         self._remap = [word for rule in remap for word in ('-r', rule)]
-        self._temporary = None if folder else tempfile.TemporaryDirectory(prefix='fuzzycnc-')
-        self.folder = folder or Path(self._temporary.name)  # type: ignore[union-attr]
+        remove_leftovers()
+        self._temporary = None if folder else TemporaryFolder()
+        self.folder = folder or self._temporary.path  # type: ignore[union-attr]
         self.folder.mkdir(parents=True, exist_ok=True)
         self._params = list(params)
         # Whoever starts a graph has looked who else is there, and holds the names of its nodes.
@@ -115,7 +116,8 @@ class GraphProcesses:
         """Take all nodes down."""
         self.stop()
         if self._temporary is not None:
-            self._temporary.cleanup()
+            self._temporary.remove()
+        remove_leftovers()
 
     def arguments(self, *specs: NodeSpec) -> list[str]:
         """Write the parameters of a process; return its ROS arguments."""
@@ -148,6 +150,8 @@ class GraphProcesses:
                 # Ctrl-C reaches only this process, which then ends the nodes in order.
                 start_new_session=True,
                 preexec_fn=child_set_up(),
+                # The folder is needed as long as they live, even if this process is killed.
+                pass_fds=[] if self._temporary is None else [self._temporary.lock],
             )
 
     @property

@@ -125,11 +125,15 @@ def activate(node: ManagedNode = 'compensator', machine: MachineName = 'mill') -
         fuzzycnc operate activate
         fuzzycnc operate activate servo_controller --machine mill_1
     """
+    from fuzzycnc_ros.runtime.host import FINALIZED, WAS_FINALIZED
+
     with _operator(machine, node) as operator:
         state = operator.lifecycle(node)
         if state == 'active':
             say(f'{machine}/{node} is active already')
             return
+        if state == FINALIZED:
+            raise GraphError(f'{machine}/{node} {WAS_FINALIZED}')
         if state == 'unconfigured':
             _transition(operator, machine, node, 'configure')
         _transition(operator, machine, node, 'activate')

@@ -24,6 +24,7 @@ from fuzzycnc_ros.ros.topics import RCLPY, create_publisher, create_subscription
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import decode, encode
 from fuzzycnc_ros.runtime.records import Record
+from fuzzycnc_ros.uninterrupted import uninterrupted
 
 DISCOVERY_TIMEOUT = 20.0
 """Wall time [s] until a node must be there."""
@@ -91,11 +92,12 @@ class Operator:
             self._alive()
             if time.monotonic() > until:
                 raise GraphError(f'{what}: nothing within {timeout:g} s')
-            self._executor.spin_once(timeout_sec=0.1)
+            self.spin_once(0.1)
 
     def spin_once(self, timeout: float) -> None:
         """Handle one message, or return after `timeout` [s]."""
-        self._executor.spin_once(timeout_sec=timeout)
+        with uninterrupted():  # where a message is made of bytes, a wish to end gets lost
+            self._executor.spin_once(timeout_sec=timeout)
 
     def has_publisher(self, topic: str) -> bool:
         """Whether somebody else publishes a topic of the machine, or an absolute one."""

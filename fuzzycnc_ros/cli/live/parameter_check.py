@@ -10,49 +10,19 @@ from pathlib import Path
 
 import rclpy
 from rclpy.node import Node
-from yaml.nodes import MappingNode
-from yaml.nodes import Node as YamlNode
 
-from fuzzycnc_ros.bags.yaml_file import compose
-from fuzzycnc_ros.cli.console import check_new
+from fuzzycnc_ros.cli.console import check_new_folder
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros.arguments import understood
 from fuzzycnc_ros.ros.bag_node import check_keeping
-from fuzzycnc_ros.ros.bring_up import NodeSpec
+from fuzzycnc_ros.ros.bring_up import PAGE, NodeSpec
 from fuzzycnc_ros.ros.parameters import ParameterError, declare
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.processes import RANGE, prepare_environment
 from fuzzycnc_ros.ros.state_file import StateDirectory, StateFileError
-from fuzzycnc_ros.runtime.host import HostConfig, RecorderConfig
-
-_PARAMETERS = 'ros__parameters'
-
-
-def check_files(files: Sequence[Path]) -> None:
-    """Refuse files that are no YAML or hold no parameters, in which ROS finds less to name.
-
-    Raises
-    ------
-    ValueError
-        If one is none; the message names the line.
-    """
-    for file in files:
-        root = compose(file, 'a ROS parameter file')
-        for key, value in root.value if isinstance(root, MappingNode) else ():
-            if not _has_parameters(value):
-                raise ValueError(
-                    f'{file}: line {key.start_mark.line + 1}: expected `/**/NODE:` with '
-                    f'`{_PARAMETERS}:` below it but found `{key.value}:`; keep device files and '
-                    'others outside of the folder of parameter files'
-                )
-
-
-def _has_parameters(node: YamlNode) -> bool:
-    """Whether the parameters of a node are somewhere below this one."""
-    if not isinstance(node, MappingNode):
-        return False
-    return any(key.value == _PARAMETERS or _has_parameters(value) for key, value in node.value)
+from fuzzycnc_ros.runtime.host import DashboardConfig, HostConfig, RecorderConfig
+from fuzzycnc_ros.web.keys import check_pair, read_token
 
 
 def check_parameters(
@@ -94,14 +64,31 @@ def _apart() -> Iterator[rclpy.Context]:
         rclpy.try_shutdown(context=context)
 
 
-def _check(name: str, arguments: list[str], context: rclpy.Context) -> None:
-    """Do what a node does with its parameters.
+def page_parameters(arguments: list[str]) -> DashboardConfig:
+    """Read and check the parameters of the live page.
 
     Raises
     ------
-    ValueError
-        If it would refuse them.
+    GraphError
+        If it would refuse them; the text names the parameter.
     """
+    try:
+        with _apart() as context, _made(PAGE, arguments, context) as node:
+            (config,) = declare(node, DashboardConfig)
+            if config.token_file:
+                read_token(Path(config.token_file).expanduser())
+            if config.certificate:
+                check_pair(
+                    Path(config.certificate).expanduser(), Path(config.private_key).expanduser()
+                )
+    except ValueError as error:
+        raise GraphError(f'{PAGE}: {error}') from error
+    return config
+
+
+@contextmanager
+def _made(name: str, arguments: list[str], context: rclpy.Context) -> Iterator[Node]:
+    """Give a node of a name and its parameters."""
     with understood(arguments) as words:
         node = Node(
             name,
@@ -112,18 +99,31 @@ def _check(name: str, arguments: list[str], context: rclpy.Context) -> None:
             start_parameter_services=False,
         )
     try:
+        yield node
+    finally:
+        node.destroy_node()
+
+
+def _check(name: str, arguments: list[str], context: rclpy.Context) -> None:
+    """Do what a node does with its parameters.
+
+    Raises
+    ------
+    ValueError
+        If it would refuse them.
+    """
+    with _made(name, arguments, context) as node:
         if name == 'recorder':
             (recorder,) = declare(node, RecorderConfig)
             check_keeping(recorder)
-            check_new(Path(recorder.output))
+            check_new_folder(Path(recorder.output))
             return
         host, config = declare(node, HostConfig, COMPONENTS[name].CONFIG)
         component = COMPONENTS[name](config)
-        StateDirectory(host.state_directory, node.get_fully_qualified_name())
+        try:
+            StateDirectory(host.state_directory, node.get_fully_qualified_name())
+        except StateFileError as error:
+            raise ParameterError(str(error)) from error
         use_files = getattr(import_module(f'fuzzycnc_ros.nodes.{name}'), 'use_files', None)
         if use_files is not None:
             use_files(component)
-    except StateFileError as error:
-        raise ParameterError(str(error)) from error
-    finally:
-        node.destroy_node()

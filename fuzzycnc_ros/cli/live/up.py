@@ -5,7 +5,6 @@
 import time
 from contextlib import ExitStack, closing
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated, Optional
 
 import typer
@@ -27,13 +26,16 @@ from fuzzycnc_ros.cli.options import DUTIES
 from fuzzycnc_ros.cli.terminal import Terminal
 from fuzzycnc_ros.ros.bring_up import (
     BANNER,
+    PAGE,
     THERMAL,
     bag_of,
     clock_remapping,
+    known_nodes,
     machine_name,
     node_specs,
-    parameter_files,
 )
+from fuzzycnc_ros.ros.leftovers import TemporaryFolder
+from fuzzycnc_ros.ros.parameter_files import parameter_files, sections, unread
 from fuzzycnc_ros.ros.presence import MACHINE, GraphError, Presence
 from fuzzycnc_ros.ros.processes import open_to_network
 from fuzzycnc_ros.ros.service_manager import ServiceManager
@@ -84,7 +86,9 @@ def up(
     ship: Ship = None,
     params: Annotated[
         Optional[Path],  # noqa: UP045
-        typer.Option(help='Folder with parameter files <node>.yaml.'),
+        typer.Option(
+            help='Folder with parameter files <node>.yaml; what no node reads of it is named.'
+        ),
     ] = None,
     machine_file: Annotated[
         Optional[str],  # noqa: UP045
@@ -184,23 +188,25 @@ def up(
     if network:
         open_to_network()
     # Here, so that `fuzzycnc --help` works where ROS is not installed.
-    from fuzzycnc_ros.cli.live.parameter_check import check_files, check_parameters
+    from fuzzycnc_ros.cli.live.parameter_check import check_parameters
     from fuzzycnc_ros.cli.live.supervision_monitor import Monitor
 
     # After ROS was imported: that may begin this process anew, with its environment.
     manager = ServiceManager()
-    files = parameter_files(params, '--params ')
-    check_files(files)
+    own_files = parameter_files(params, '--params ')
+    read = sections(own_files)
     started = time.monotonic()
     with ExitStack() as stack:
+        files = own_files
         if machine_file is not None:
-            folder = stack.enter_context(TemporaryDirectory(prefix='fuzzycnc-'))
-            files.insert(0, _of_machine(machine_file, Path(folder)))
+            folder = stack.enter_context(TemporaryFolder())
+            files = [_of_machine(machine_file, folder), *own_files]
         # It listens while the parameters are checked.
         monitor = stack.enter_context(closing(Monitor(machines)))
         graphs = []
         plans = []
         bags = []
+        running = [] if page is None else [f'/{PAGE}']
         for name in machines:
             own_clock = clock_remapping(machines)
             graph = stack.enter_context(GraphProcesses(name, params=files, remap=own_clock))
@@ -221,12 +227,16 @@ def up(
                 recorder_parameters=keeping,
             )
             plans.append([tuple(specs)] if compose else [(spec,) for spec in specs])
+            running += [f'/{name}/{spec.name}' for spec in specs]
+        said = [] if params is None else unread(params, read, running, known_nodes())
         check_parameters(graphs, plans)
         if not takeover:
             presence = stack.enter_context(Presence())
             check_free(monitor, presence, dict(zip(machines, plans, strict=True)))
         console.print(BANNER, style='yellow', soft_wrap=True)
-        with page_process(console, page, record) as beside:
+        for text in said:
+            console.print(f'--params {text}', style='yellow', soft_wrap=True, markup=False)
+        with page_process(console, page, record, params=own_files) as beside:
             outcome = supervise(console, monitor, graphs, plans, manager, beside)
     outcome['wall_s'] = round(time.monotonic() - started, 3)
     console.print(

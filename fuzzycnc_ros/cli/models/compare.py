@@ -28,6 +28,7 @@ from fuzzycnc_ros.cli.models.many_bags import (
     jobs_of,
     say_bad,
     with_each,
+    without_odd,
 )
 from fuzzycnc_ros.cli.models.recorded_runs import (
     bridged_gaps,
@@ -43,6 +44,7 @@ from fuzzycnc_ros.cli.options import (
     Interval,
     OptionalText,
     Report,
+    SensorLimits,
     Sensors,
     Speed,
     Start,
@@ -50,11 +52,11 @@ from fuzzycnc_ros.cli.options import (
     names_of,
 )
 from fuzzycnc_ros.cli.quantities import TIMES, number_in
-from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX
+from fuzzycnc_ros.core.thermal.candidate import COMPARED_ONLY, SPEED_SUFFIX
 from fuzzycnc_ros.papers.names import COMPARED
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from fuzzycnc_ros.cli.workers import Progress
     from fuzzycnc_ros.core.thermal.fit.comparison import Comparison, HeldOut, Split
@@ -73,6 +75,7 @@ NOT_WITH_MACHINE = (
     'sensors',
     'clusters',
     'drop_sensor',
+    'sensor_limits',
     'speed',
     'start',
     'end',
@@ -108,10 +111,11 @@ def compare(
             autocompletion=some_of((ALL, *COMPARED)),
         ),
     ] = [ALL],  # noqa: B006 - typer copies it
-    interval: Interval = 60.0,
+    interval: Interval = None,
     sensors: Sensors = 'auto',
     clusters: Clusters = 5,
     drop_sensor: DropSensor = None,
+    sensor_limits: SensorLimits = None,
     speed: Speed = True,
     start: Start = None,
     end: End = None,
@@ -138,6 +142,10 @@ def compare(
     later part is predicted from what came before. The row `default` is what `fuzzycnc train`
     would have chosen by itself, without the held-out run. What is not to be trusted is marked.
 
+    Some models are only compared: no model file holds them, and no machine runs them. They stand
+    behind the others, with a mark, and never are the best; where one leaves less, a line says so,
+    and so it does where the default leaves much more than plain least squares.
+
     No compensation competes too: the best candidate is none where nothing beats the machine as it
     is. A channel in which the default leaves more than that is marked and named. The exit code is
     0 all the same: scripts test `worse_than_none` in the figures of --json, a list of channels.
@@ -155,6 +163,8 @@ def compare(
         fuzzycnc compare shift --hold-out 57600:86400 --report comparison.html
         fuzzycnc compare --machine grinder --report grinder.html
     """
+    from fuzzycnc_ros.core.thermal.fit.training import training_interval
+
     processes = jobs_of(jobs)
     check_at_least('--seed', seed, 0)
     check_folder(report, json_file)
@@ -167,10 +177,21 @@ def compare(
     names = names_of('--models', models, COMPARED)
     windows = [_window(text) for text in hold_out or []]
     wanted = sensors_but(drop_sensor, [bag.path for bag in find_bags(bags)])
-    work = partial(usable_run, interval=interval, start=start, stop=end, sensors=wanted)
+    work = partial(
+        usable_run,
+        interval=interval,
+        start=start,
+        stop=end,
+        sensors=wanted,
+        sensor_limits=sensor_limits or (),
+    )
     with progress_bar('reading') as tell:
         read = with_each(work, find_bags(bags), processes, tell)
-    runs = read.results
+    unread = {item.bag.name for item in read.bad}
+    named = [bag for bag in find_bags(bags) if bag.name not in unread]
+    alike = without_odd(named, read.results)
+    runs = alike.results
+    interval = training_interval(runs, interval)
     no_speed = '--no-speed' if not speed else speed_missing(runs, interval)
     if no_speed:
         names = _without_speed(names, no_speed)
@@ -195,15 +216,15 @@ def compare(
     lines += [f'warning: {line}' for line in doubts]
     for line in lines:
         say(line)
-    bad = (*read.bad, *failed)
+    bad = (*read.bad, *alike.bad, *failed)
     say_bad(bad)
     if report is not None:
         from fuzzycnc_ros.studies.page.recorded import recording_facts
         from fuzzycnc_ros.studies.thermal.comparison_page import comparison_page
 
-        unread = {item.bag.name for item in read.bad}
+        used = {run.name for run in runs}
         facts = {
-            **recording_facts([b.path for b in find_bags(bags) if b.name not in unread]),
+            **recording_facts([bag.path for bag in named if bag.name in used]),
             'Runs': ', '.join(run.name for run in runs),
             'Sampling interval': f'{interval:g} s',
             'Spindle speed': f'not used, {no_speed}' if no_speed else 'used where named',
@@ -227,32 +248,8 @@ def compare(
         raise typer.Exit(1)
 
 
-def read_runs(
-    bags: 'Sequence[Path]',
-    start: float | None = None,
-    stop: float | None = None,
-    sensors: 'Callable[[str], bool] | None' = None,
-) -> 'list[ThermalRun]':
-    """Read runs, each with a name of its own; `start`, `stop`, `sensors` as in `read_run`.
-
-    Raises
-    ------
-    ValueError
-        If a bag is named twice, or one cannot be used.
-    """
-    from fuzzycnc_ros.bags.runs import read_run
-
-    runs = []
-    with progress_bar('reading') as tell:
-        for done, bag in enumerate(named := find_bags(bags)):
-            tell(f'reading {bag.name}', done, len(named))
-            run = read_run(bag.path, start=start, stop=stop, name=bag.name, sensors=sensors)
-            runs.append(run)
-    return runs
-
-
 def usable_run(
-    bag: NamedBag, progress: 'Progress', *, interval: float, **options: Any
+    bag: NamedBag, progress: 'Progress', *, interval: float | None, **options: Any
 ) -> 'ThermalRun':
     """Read the run of a bag under the name that tells it from the others.
 
@@ -356,7 +353,9 @@ def _show(comparison: 'Comparison') -> list[str]:
             say(text)
         for line in shown.pooled_remarks(comparison):
             remark(line)
-    return [f'best candidate: {shown.by_channel(shown.best_candidates(comparison))}']
+    if any(name in COMPARED_ONLY for name in comparison.names):
+        say(shown.COMPARED_LINE)
+    return shown.best_lines(comparison)
 
 
 def _compare_on_grinder(

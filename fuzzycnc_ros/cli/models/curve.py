@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from fuzzycnc_ros.bags.finding import find_bags
 from fuzzycnc_ros.cli.console import (
     JsonFile,
     Tell,
@@ -20,13 +21,22 @@ from fuzzycnc_ros.cli.console import (
     write_json,
     write_report,
 )
-from fuzzycnc_ros.cli.models.compare import read_runs
+from fuzzycnc_ros.cli.models.many_bags import SkipBad, runs_of, say_bad
 from fuzzycnc_ros.cli.models.recorded_runs import (
     bridged_gaps,
     gap_lines,
     sensors_but,
 )
-from fuzzycnc_ros.cli.options import Bags, DropSensor, End, Interval, Report, Seed, Start
+from fuzzycnc_ros.cli.options import (
+    Bags,
+    DropSensor,
+    End,
+    Interval,
+    Report,
+    Seed,
+    SensorLimits,
+    Start,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,11 +54,13 @@ def curve(
     counts: Annotated[
         list[str], typer.Option(metavar='N,...', help='Numbers of sensors to try.')
     ] = ['1,2,3,5,8,10,15'],  # noqa: B006 - typer copies it
-    interval: Interval = 60.0,
+    interval: Interval = None,
     drop_sensor: DropSensor = None,
+    sensor_limits: SensorLimits = None,
     start: Start = None,
     end: End = None,
     seed: Seed = 0,
+    skip_bad: SkipBad = False,
     report: Report = None,
     json_file: JsonFile = None,
 ) -> None:
@@ -63,7 +75,7 @@ def curve(
         fuzzycnc curve shift --counts 1,2,4,8 --report sensors.html
     """
     from fuzzycnc_ros.core.thermal.fit.comparison import splits
-    from fuzzycnc_ros.core.thermal.fit.training import at_interval
+    from fuzzycnc_ros.core.thermal.fit.training import at_interval, training_interval
     from fuzzycnc_ros.core.thermal.fit.training_runs import check_training_runs
     from fuzzycnc_ros.studies.thermal.sensor_curve import (
         SensorCurves,
@@ -75,7 +87,19 @@ def curve(
     check_at_least('--seed', seed, 0)
     numbers = _numbers(counts)
     check_folder(report, json_file)
-    read = read_runs(bags, start, end, sensors_but(drop_sensor, bags))
+    with progress_bar('reading') as tell:
+        found = runs_of(
+            find_bags(bags),
+            interval,
+            tell,
+            skip=skip_bad,
+            start=start,
+            stop=end,
+            sensors=sensors_but(drop_sensor, bags),
+            sensor_limits=sensor_limits or (),
+        )
+    read = found.results
+    interval = training_interval(read, interval)
     runs = [at_interval(run, interval) for run in read]
     check_training_runs(runs)
     held_out = splits(runs, interval=interval)
@@ -101,11 +125,13 @@ def curve(
         lines += gap_lines(name, gaps, interval)
     for line in lines:
         say(line)
+    say_bad(found.bad)
     if report is not None:
         from fuzzycnc_ros.studies.page.recorded import recording_facts
 
+        unused = {item.bag.name for item in found.bad}
         facts = {
-            **recording_facts(bags),
+            **recording_facts([bag.path for bag in find_bags(bags) if bag.name not in unused]),
             'Runs': ', '.join(run.name for run in runs),
             'Sampling interval': f'{interval:g} s',
             'Seed': str(seed),
@@ -114,6 +140,7 @@ def curve(
     document: dict[str, Any] = sensor_curve_document(curves)
     document['left_out'] = [count for count in numbers if count not in kept]
     document['bridged'] = bridged
+    document['left_out_bags'] = {item.bag.name: item.reason for item in found.bad}
     write_json(json_file, document)
 
 

@@ -27,8 +27,15 @@ from fuzzycnc_ros.cli.models.many_bags import (
     say_bad,
     with_each,
 )
-from fuzzycnc_ros.cli.models.recorded_runs import gap_lines
-from fuzzycnc_ros.cli.options import End, OptionalText, Report, Start, given
+from fuzzycnc_ros.cli.models.recorded_runs import gap_lines, offset_lines
+from fuzzycnc_ros.cli.options import (
+    End,
+    OptionalText,
+    Report,
+    SensorLimits,
+    Start,
+    given,
+)
 from fuzzycnc_ros.cli.quantities import DURATIONS, quantity
 from fuzzycnc_ros.studies.thermal.missing_readings import Bridged
 
@@ -51,6 +58,7 @@ class Judged(NamedTuple):
     bridged: tuple[Bridged, ...]
     page: 'CompensationRun | None' = None
     probed: 'ProbedEvaluation | None' = None
+    doubts: tuple[str, ...] = ()
 
 
 def evaluate(
@@ -58,6 +66,7 @@ def evaluate(
     model: Annotated[
         Path, typer.Option(metavar='MODEL', help='Model file made by `fuzzycnc train`.')
     ],
+    sensor_limits: SensorLimits = None,
     start: Start = None,
     end: End = None,
     probe_every: Annotated[
@@ -78,8 +87,14 @@ def evaluate(
     moves the reference: temperatures and displacements stay referred to the bag's first samples.
     Rows that the model was trained on prove nothing; what of them was judged is named.
 
+    The band of a model promises to hold 95 % of what is left. Where it holds so little that chance
+    does not explain it, the first lines and the page say so, and the exit code is 1: it holds less
+    than 90 %, and with a probability of 5 % or less so many of as many independent samples as the
+    run is worth (`independent` in the figures of --json) would be outside, or so large.
+    `false_band` there lists the channels.
+
     A channel in which the default leaves more than there was without compensation is marked and
-    named. The exit code is 0 all the same: scripts test `worse_than_none` in the figures of
+    named. That alone leaves the exit code at 0: scripts test `worse_than_none` in the figures of
     --json, a list of channels, over all bags; `judged` has it for each.
 
     With --probe-every a second table shows what is left if the machine is probed that often, as
@@ -95,7 +110,9 @@ def evaluate(
         fuzzycnc evaluate spindle --model spindle.json --probe-every 60min --report spindle.html
     """
     from fuzzycnc_ros.cli.models.train import default_text, problem_lines
+    from fuzzycnc_ros.core.thermal.fit.evaluation import false_bands
     from fuzzycnc_ros.core.thermal.model import load_model
+    from fuzzycnc_ros.studies.thermal.judged import false_band_remarks
 
     processes = jobs_of(jobs)
     every = None
@@ -107,6 +124,7 @@ def evaluate(
     work = partial(
         judge_bag,
         model_text=document,
+        sensor_limits=sensor_limits or (),
         start=start,
         end=end,
         probe_every=every,
@@ -114,13 +132,21 @@ def evaluate(
     )
     with progress_bar('evaluating') as tell:
         found: Sorted[Judged] = with_each(work, find_bags(bags), processes, tell)
-    _show([item.evaluation for item in found.results], trained)
-    lines = [item for result in found.results for item in _remarks(result.evaluation, trained)]
+    judged = [item.evaluation for item in found.results]
+    lines = false_band_remarks(judged)
     for line in lines:
         remark(line)
+    _show(judged, trained)
+    others = [item for result in judged for item in _remarks(result, trained, len(judged))]
+    others = [item for item in others if item not in lines]
+    for line in others:
+        remark(line)
+    lines += others
     for item in found.results:
         for text in gap_lines(item.evaluation.run, item.bridged, trained.interval):
             say(text)
+    for text in (line for item in found.results for line in item.doubts):
+        say(f'warning: {text}')
     probed = [item.probed for item in found.results if item.probed is not None]
     _show_probed(probed)
     say_bad(found.bad)
@@ -136,7 +162,7 @@ def evaluate(
         facts = recording_facts([bag.path for bag in used])
         _write_report(report, pages, lines, trained, document, probed, facts)
     write_json(json_file, _document(found, model, trained, document))
-    if found.bad:
+    if found.bad or false_bands(judged):
         raise typer.Exit(1)
 
 
@@ -145,6 +171,7 @@ def judge_bag(
     progress: 'Progress',
     *,
     model_text: str,
+    sensor_limits: 'Sequence[str]' = (),
     start: float | None,
     end: float | None,
     probe_every: float | None,
@@ -163,14 +190,15 @@ def judge_bag(
 
     progress('evaluating', bag.name, 0, 1)
     trained = load_model(model_text)
-    recorded = read_run(bag.path, stop=end, name=bag.name)
+    recorded = read_run(bag.path, stop=end, name=bag.name, sensor_limits=sensor_limits)
     result, run, bridged = judge_recorded(trained, recorded, start=start, stop=end)
     probed = None
     if probe_every is not None:
         from fuzzycnc_ros.studies.thermal.probed import evaluate_probed
 
         probed = evaluate_probed(trained, run, result, probe_every)
-    return Judged(result, bridged, _page(trained, run, result) if page else None, probed)
+    shown = _page(trained, run, result) if page else None
+    return Judged(result, bridged, shown, probed, tuple(offset_lines([recorded])))
 
 
 def _show(judged: 'list[Evaluation]', model: 'ThermalModel') -> None:
@@ -190,11 +218,11 @@ def _show(judged: 'list[Evaluation]', model: 'ThermalModel') -> None:
     show(residual_table(title, result.channel, result.rms, result.largest, refused))
 
 
-def _remarks(result: 'Evaluation', model: 'ThermalModel') -> 'list[Remark]':
+def _remarks(result: 'Evaluation', model: 'ThermalModel', runs: int) -> 'list[Remark]':
     """Return what a reader of the figures has to know."""
     from fuzzycnc_ros.studies.thermal.judged import remarks_on, training_remark
 
-    window, *others = remarks_on(result)
+    window, *others = remarks_on(result, runs)
     trained_on = training_remark(result.run, result.trained_on, result.recognised, model.runs)
     return [window, trained_on, *others]
 
@@ -216,7 +244,7 @@ def _document(
 ) -> dict[str, Any]:
     """Return all figures."""
     from fuzzycnc_ros.core.names import text_hash
-    from fuzzycnc_ros.core.thermal.fit.evaluation import pooled_rms
+    from fuzzycnc_ros.core.thermal.fit.evaluation import false_bands, pooled_rms
     from fuzzycnc_ros.studies.thermal.comparison import judged_document, residual_document
     from fuzzycnc_ros.studies.thermal.judged import worse_than_none
     from fuzzycnc_ros.studies.thermal.many_runs import overall_document
@@ -237,12 +265,14 @@ def _document(
         'overall': overall_document(judged),
         'judged': {result.run: judged_document(result) for result in judged},
         'worse_than_none': worse_than_none(model.channel, pooled_rms(judged)),
+        'false_band': false_bands(judged),
         'samples': {
             result.run: dict(zip(result.channel, result.samples, strict=True)) for result in judged
         },
         'in_domain': {result.run: result.in_domain for result in judged},
         'bridged': {item.evaluation.run: item.bridged for item in found.results},
         'probed': probed_document(probed) if probed else None,
+        'warnings': [line for item in found.results for line in item.doubts],
         'left_out': {item.bag.name: item.reason for item in found.bad},
     }
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Generic, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar
 
 import typer
 
@@ -15,9 +15,12 @@ from fuzzycnc_ros.bags.finding import NamedBag
 from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.cli.console import Tell, say
 from fuzzycnc_ros.cli.options import OptionalWhole, given
+from fuzzycnc_ros.cli.remedies import sentence
+from fuzzycnc_ros.core.remedies import RemediedError, remedied
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.workers import Progress
+    from fuzzycnc_ros.core.thermal.run import ThermalRun
 
 Result = TypeVar('Result')
 
@@ -35,12 +38,26 @@ Jobs = Annotated[
 ]
 
 
+SkipBad = Annotated[
+    bool,
+    typer.Option('--skip-bad', help='Leave out bags that cannot be used, and say which and why.'),
+]
+
+
 @dataclass(frozen=True)
 class BadBag:
     """A bag that could not be used, and why in one line."""
 
     bag: NamedBag
     reason: str
+
+
+@dataclass(frozen=True)
+class _Refused:
+    """A bag that could not be used, and what helps, as data."""
+
+    bag: NamedBag
+    error: RemediedError
 
 
 @dataclass(frozen=True)
@@ -85,10 +102,73 @@ def with_each(
     else:
         names = [bag.name for bag in bags]
         found = in_workers(partial(_attempt, work), bags, names, jobs, tell)
-    bad = tuple(item for item in found if isinstance(item, BadBag))
-    good = tuple(item for item in found if not isinstance(item, BadBag))
+    judged = [_in_words(item) for item in found]
+    bad = tuple(item for item in judged if isinstance(item, BadBag))
+    good = tuple(item for item in judged if not isinstance(item, BadBag))
     check_some_left(len(good), bad)
     return Sorted(good, bad)
+
+
+def runs_of(
+    bags: Sequence[NamedBag], interval: float | None, tell: Tell, *, skip: bool, **options: Any
+) -> 'Sorted[ThermalRun]':
+    """Read the runs of all bags; options are those of `read_run`.
+
+    Parameters
+    ----------
+    bags : sequence of NamedBag
+        The bags.
+    interval : float, optional
+        Interval that they are to be used at [s]; their own if left out.
+    tell : callable
+        Shows the progress.
+    skip : bool
+        Whether a bag that cannot be used, or has other sensors or channels than most, is left
+        out.
+
+    Raises
+    ------
+    ValueError
+        If a bag cannot be read and none is left out, or none is left.
+    """
+    from fuzzycnc_ros.bags.runs import read_run
+    from fuzzycnc_ros.studies.thermal.missing_readings import read_usable
+
+    def usable(bag: NamedBag, _: object) -> 'ThermalRun':
+        return read_usable(bag.path, interval, name=bag.name, **options)
+
+    runs: list[ThermalRun] = []
+    found: list[ThermalRun | BadBag] = []
+    for done, bag in enumerate(bags):
+        tell(f'reading {bag.name}', done, len(bags))
+        if skip:
+            found.append(_in_words(_attempt(usable, bag, _nobody)))
+        else:
+            runs.append(read_run(bag.path, name=bag.name, **options))
+    return without_odd(bags, found) if skip else Sorted(tuple(runs), ())
+
+
+def without_odd(
+    bags: Sequence[NamedBag], found: 'Sequence[ThermalRun | BadBag]'
+) -> 'Sorted[ThermalRun]':
+    """Return the runs that have the sensors and channels of most of them, and what is left out.
+
+    Raises
+    ------
+    ValueError
+        If none is left.
+    """
+    from fuzzycnc_ros.core.thermal.fit.training_runs import unlike_most
+
+    named = [
+        (bag, run) for bag, run in zip(bags, found, strict=True) if not isinstance(run, BadBag)
+    ]
+    odd = unlike_most([run for _, run in named])
+    bad = [item for item in found if isinstance(item, BadBag)]
+    bad += [BadBag(named[place][0], reason) for place, reason in odd.items()]
+    good = tuple(run for place, (_, run) in enumerate(named) if place not in odd)
+    check_some_left(len(good), bad)
+    return Sorted(good, tuple(bad))
 
 
 def check_some_left(good: int, bad: Sequence[BadBag]) -> None:
@@ -134,13 +214,29 @@ def cores() -> int:
 
 def _attempt(
     work: 'Callable[[NamedBag, Progress], Result]', bag: NamedBag, progress: 'Progress'
-) -> Result | BadBag:
+) -> 'Result | BadBag | _Refused':
     """Work on a bag; what is wrong with it becomes a line."""
     try:
         return work(bag, progress)
     except (ValueError, OSError) as error:
+        if (refusal := remedied(error)) is not None:
+            return _Refused(bag, refusal)
         text = os_sentence(error) if isinstance(error, OSError) else str(error)
-        return BadBag(bag, ' '.join(text.split()))
+        return BadBag(bag, _one_line(text))
+
+
+def _in_words(item: 'Result | BadBag | _Refused') -> 'Result | BadBag':
+    """Return a result as it is, and a refusal with the options of this command.
+
+    In a worker nobody knows these.
+    """
+    if isinstance(item, _Refused):
+        return BadBag(item.bag, _one_line(sentence(item.error)))
+    return item
+
+
+def _one_line(text: str) -> str:
+    return ' '.join(text.split())
 
 
 def _nobody(stage: str, name: str, done: int, total: int) -> None:

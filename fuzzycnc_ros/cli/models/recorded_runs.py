@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from fuzzycnc_ros.core.thermal.run import ThermalRun
+    from fuzzycnc_ros.core.thermal.turned import Turned
 
 IN_WORDS = {LINE: 'straight lines bridge them', MATES: 'other sensors stand in'}
 
@@ -92,10 +93,10 @@ def doubt_lines(runs: 'Sequence[ThermalRun]') -> list[str]:
         TEMPERATURE_STEP,
         lone_values,
         shifted_sensors,
-        turned_channels,
     )
+    from fuzzycnc_ros.core.thermal.turned import turned_channels
 
-    lines = []
+    lines = offset_lines(runs)
     for run in runs:
         for names, values, step, scale, unit in (
             (run.sensor, run.temperature, TEMPERATURE_STEP, 1.0, 'degC'),
@@ -104,9 +105,8 @@ def doubt_lines(runs: 'Sequence[ThermalRun]') -> list[str]:
             found = sorted(lone_values(values, step))
             lines += [
                 f'{run.name}: {names[item.column]} is {item.value * scale:.4g} {unit} at '
-                f'{run.time[item.row]:.6g} s, alone between {item.before * scale:.4g} and '
-                f'{item.behind * scale:.4g}; if nothing of the kind happened, import the run '
-                'without this value'
+                f'{run.time[item.row]:.6g} s, alone {item.neighbours(scale)}; if nothing of the '
+                'kind happened, import the run without this value'
                 for item in found[:DOUBTS_NAMED]
             ]
             if len(found) > DOUBTS_NAMED:
@@ -116,25 +116,48 @@ def doubt_lines(runs: 'Sequence[ThermalRun]') -> list[str]:
         seen = ', '.join(f'{value:.3g}' for value in start.values())
         lines.append(
             f'{", ".join(start)}: {sensor} begins at {seen} degC, against the other sensors '
-            f'{abs(off):.0f} K {"above" if off > 0.0 else "below"} what it is in other runs; if '
-            f'it is broken there, leave it out with --drop-sensor {shlex.quote(sensor)}, or '
-            'these runs'
+            f'{abs(off):.0f} K {"above" if off > 0.0 else "below"} what it is in the other '
+            f'{len(runs) - len(start)} of {len(runs)} runs, and stays so; if it is broken there, '
+            f'leave it out with --drop-sensor {shlex.quote(sensor)}, or these runs'
         )
-    for channel, against, others in turned_channels(runs):
-        odd = ', '.join(against)
-        lines.append(
-            f'{odd}: {channel} moves {_way(against)} the temperatures '
-            f'({_least(against):+.2f}), but {_way(others)} them in {", ".join(others)} '
-            f'({_least(others):+.2f}); if a probe was turned round or a sign changed, import '
-            f'{odd if len(against) < len(others) else "some of them"} anew with the other sign of '
-            'the axis'
-        )
+    lines += [_turned_line(item, len(runs[0].channel)) for item in turned_channels(runs)]
     return lines
 
 
-def _way(correlation: dict[str, float]) -> str:
-    return 'with' if _least(correlation) > 0.0 else 'against'
+def offset_lines(runs: 'Sequence[ThermalRun]') -> list[str]:
+    """Return in which runs displacements do not begin at zero, in a sentence with the remedy."""
+    from fuzzycnc_ros.core.thermal.plausibility import offset_channels
+    from fuzzycnc_ros.core.thermal.spacing import reference_rows
+
+    said = []
+    for run in runs:
+        found = offset_channels(run.displacement, reference_rows(run.time))
+        if found:
+            column, first, span = max(found, key=lambda item: abs(item[1]) / max(item[2], 1e-9))
+            said.append(
+                f'{run.name} ({run.channel[column]} at {first * 1e6:.3g} um of a range of '
+                f'{span * 1e6:.3g} um)'
+            )
+    if not said:
+        return []
+    return [
+        f'displacements do not begin at zero in {", ".join(said)}, while temperatures count from '
+        'their first minutes; if the machine was cold then, import anew with '
+        'fuzzycnc import-csv --zero'
+    ]
 
 
-def _least(correlation: dict[str, float]) -> float:
-    return min(correlation.values(), key=abs)
+def _turned_line(item: 'Turned', channels: int) -> str:
+    """Return which runs have the other sign, how sure that is, and what to do."""
+    what = 'all channels' if 1 < channels == len(item.channel) else ', '.join(item.channel)
+    what += ' moves' if len(item.channel) == 1 else ' move'
+    which = ', '.join(item.run)
+    if len(item.run) == len(item.others):
+        which += f' or {", ".join(item.others)}'
+    return (
+        f'{which}: {what} against what the other runs predict (correlation '
+        f'{item.correlation:+.2f}); with the other sign the temperatures explain '
+        f'{100.0 * (1.0 - item.left):.0f} % of the motion of all runs, as recorded '
+        f'{100.0 * (1.0 - item.unexplained):.0f} %; if a probe was turned round or a sign '
+        f'changed, import {which} anew with the other sign of the axis'
+    )

@@ -14,7 +14,7 @@ from fuzzycnc_ros.cli.console import (
     Tell,
     check_at_least,
     check_folder,
-    check_new,
+    check_new_folder,
     progress_bar,
     say,
     show,
@@ -108,9 +108,9 @@ def simulate(
     check_at_least('--seed', seed, 0)
     check_at_least('--seeds', seeds, 1)
     names, calibrated_on = words(duties), words(training)
-    check_new(out)
+    check_new_folder(out)
     if out is not None and model is None:
-        check_new(_calibration_folder(out))
+        check_new_folder(_calibration_folder(out))
     check_folder(report, json_file)
     parameters = node_parameters('--param', param or [])
     shift_components(names, seed, faults=fault or (), parameters=parameters)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
+from fuzzycnc_ros.bags.finding import NamedBag
 from fuzzycnc_ros.bags.recording_loss import hole_text
 from fuzzycnc_ros.cli.completion import one_of, some_of
 from fuzzycnc_ros.cli.console import (
@@ -21,6 +22,7 @@ from fuzzycnc_ros.cli.console import (
     write_text,
 )
 from fuzzycnc_ros.cli.models.fit_progress import FitCounter
+from fuzzycnc_ros.cli.models.many_bags import SkipBad, runs_of, say_bad
 from fuzzycnc_ros.cli.models.recorded_runs import (
     bridged_gaps,
     doubt_lines,
@@ -35,6 +37,7 @@ from fuzzycnc_ros.cli.options import (
     End,
     Interval,
     Seed,
+    SensorLimits,
     Sensors,
     Speed,
     Start,
@@ -71,14 +74,16 @@ def train(
             autocompletion=some_of((ALL, *CANDIDATES)),
         ),
     ] = None,
-    interval: Interval = 60.0,
+    interval: Interval = None,
     sensors: Sensors = 'auto',
     clusters: Clusters = 5,
     drop_sensor: DropSensor = None,
+    sensor_limits: SensorLimits = None,
     speed: Speed = True,
     start: Start = None,
     end: End = None,
     seed: Seed = 0,
+    skip_bad: SkipBad = False,
     force: Annotated[bool, typer.Option('--force', help='Overwrite the model file.')] = False,
     json_file: JsonFile = None,
 ) -> None:
@@ -98,14 +103,14 @@ def train(
     displacements stay referred to the first samples of the bag.
 
     A bag holds `temperatures` and `displacement`; `fuzzycnc import-csv` makes one of a table.
-    Readings that are missing for up to 20 min are bridged, as by the predictor.
+    Readings that are missing for up to 20 min are bridged, as by the predictor. A bag that cannot
+    be used stops the training; with --skip-bad it is named and left out, and the code is 0.
 
         fuzzycnc train monday tuesday wednesday --out mill.json
         fuzzycnc train shift --end 86850 --out spindle.json --sensors all
         fuzzycnc train shift --model lag_ridge --out mill.json --force
         fuzzycnc train shift --models all --no-speed --out mill.json
     """
-    from fuzzycnc_ros.bags.runs import read_run
     from fuzzycnc_ros.core.thermal.fit import train_model
     from fuzzycnc_ros.studies.thermal.judged import choice_remarks
 
@@ -123,10 +128,18 @@ def train(
     wanted = sensors_but(drop_sensor, bags)
     phrase = FitCounter()
     with progress_bar('training') as tell:
-        runs = []
-        for done, bag in enumerate(bags):
-            tell(f'reading {bag.name}', done, len(bags))
-            runs.append(read_run(bag, start=start, stop=end, sensors=wanted))
+        named = [NamedBag(bag, bag.stem) for bag in bags]
+        read = runs_of(
+            named,
+            interval,
+            tell,
+            skip=skip_bad,
+            start=start,
+            stop=end,
+            sensors=wanted,
+            sensor_limits=sensor_limits or (),
+        )
+        runs = read.results
         trained = train_model(
             runs,
             model=model,
@@ -142,13 +155,14 @@ def train(
         )
     text = trained.to_json()
     write_text(out, text)
+    say_bad(read.bad)
     holed = {run.name: hole_words(run) for run in runs}
     for name, found in holed.items():
         if found:
             say(f'{name}: {found}, filled by straight lines; record it anew for a better model')
-    bridged = {run.name: bridged_gaps(run, interval) for run in runs}
+    bridged = {run.name: bridged_gaps(run, trained.interval) for run in runs}
     for name, gaps in bridged.items():
-        for line in gap_lines(name, gaps, interval):
+        for line in gap_lines(name, gaps, trained.interval):
             say(line)
     doubts = doubt_lines(runs)
     for line in doubts:
@@ -172,6 +186,7 @@ def train(
             'holes': holed,
             'warnings': doubts,
             'bridged': bridged,
+            'left_out': {item.bag.name: item.reason for item in read.bad},
         },
     )
 

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
     from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
     from fuzzycnc_ros.simulation.controller.program import PathMode
-    from fuzzycnc_ros.studies.programs.advice import Advice
+    from fuzzycnc_ros.studies.programs.advice import Advice, Adviser, Remedy
     from fuzzycnc_ros.studies.programs.advice_page import AdviceFigures
     from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath
 
@@ -87,7 +87,7 @@ def advise(
         typer.Option(
             '--linuxcnc',
             help='Run every remedy on the LinuxCNC that is installed here, without a screen and '
-            'in real time.',
+            'in real time; one that leaves too much is looked for again with a lower aim.',
         ),
     ] = False,
     out: Annotated[OptionalPath, given('The program as recommended.', metavar='FILE')] = None,
@@ -139,7 +139,9 @@ def advise(
             advice = adviser.advise(corners, tell)
     except ValueError as error:
         raise ValueError(f'{program}: {error}') from error
-    measured = _measured(given, advice, adviser.path, known, units) if linuxcnc else None
+    measured = None
+    if linuxcnc:
+        advice, measured = _measured(given, advice, adviser, known, units)
     figures = _figures(str(program), advice, measured)
     known.say_constant()
     show(advice_table(figures))
@@ -150,6 +152,8 @@ def advise(
         say_unkept(figures.verdict.text)
     else:
         say(figures.verdict.text)
+    if measured is None:
+        say(figures.remark)
     for line in settings_lines(figures):
         say(line)
     write_json(json_file, advice_document(figures))
@@ -221,26 +225,27 @@ def _settings(machine: SchedulingMachine, before: 'PathMode') -> 'ProgramSetting
 def _measured(
     given: 'Program',
     advice: 'Advice',
-    path: 'ProgramPath',
+    adviser: 'Adviser',
     machine: SchedulingMachine,
     units: str,
-) -> 'list[Judged]':
-    """Run every remedy on LinuxCNC."""
+) -> 'tuple[Advice, list[Judged]]':
+    """Run every remedy on LinuxCNC, and those that leave too much again with a lower aim."""
     from fuzzycnc_ros.adapters.linuxcnc.recorder import PERIOD, recording
-    from fuzzycnc_ros.studies.programs.advice import advised_program
+    from fuzzycnc_ros.studies.programs.advice import advised_program, with_lower_aims
 
-    limits = _limits(machine)
-    found = []
+    limits, path = _limits(machine), adviser.path
     with progress_bar('LinuxCNC') as tell, recording() as recorder:
-        for number, remedy in enumerate(advice.remedies):
-            tell(remedy.name, number, len(advice.remedies))
+
+        def run(remedy: 'Remedy', number: int) -> 'Judged':
+            tell(remedy.name, min(number, len(advice.remedies)), len(advice.remedies))
             recorder.limit(limits.velocity, limits.acceleration)
             recorder.origin()
             recorder.limit(limits.velocity, remedy.acceleration)
             text = advised_program(given, remedy, units)
             samples = recorder.run(text, SLACK * remedy.judged.duration + WAIT)
-            found.append(path.judge(path.recorded(samples, PERIOD), machine.contouring))
-    return found
+            return path.judge(path.recorded(samples, PERIOD), machine.contouring)
+
+        return with_lower_aims(advice, adviser, run)
 
 
 def _figures(name: str, advice: 'Advice', measured: 'list[Judged] | None') -> 'AdviceFigures':
@@ -258,7 +263,7 @@ def _figures(name: str, advice: 'Advice', measured: 'list[Judged] | None') -> 'A
         for index, one in enumerate(advice.remedies)
     ]
     best = advice.best if measured is None else best_of(measured, advice.tolerance)
-    return AdviceFigures(name, advice.tolerance, rows, best)
+    return AdviceFigures(name, advice.tolerance, advice.aim, rows, best)
 
 
 def _notes(given: 'Program', path: 'ProgramPath') -> list[str]:

@@ -6,17 +6,19 @@ from __future__ import annotations
 
 import os
 import re
-import secrets
 import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
+from io import TextIOWrapper
 from pathlib import Path
 from typing import IO
 
-from fuzzycnc_ros.bags.os_errors import about
+from fuzzycnc_ros.bags.atomic import whole_file
 from fuzzycnc_ros.cli.console import check_folder
+from fuzzycnc_ros.ros.leftovers import TemporaryFolder
+from fuzzycnc_ros.ros.streams import is_dropped
 
 STREAM = '-'
 """Name of the standard streams."""
@@ -40,10 +42,11 @@ def program_lines(path: Path) -> Iterator[Path]:
             raise ValueError(f'{path}: expected a part program but nothing is there')
         yield path
         return
-    with tempfile.NamedTemporaryFile(prefix='fuzzycnc-', suffix='.ngc') as copy:
-        shutil.copyfileobj(sys.stdin.buffer, copy)
-        copy.flush()
-        yield Path(copy.name)
+    with TemporaryFolder() as folder:
+        copy = folder / 'part.ngc'
+        with copy.open('wb') as file:
+            shutil.copyfileobj(sys.stdin.buffer, file)
+        yield copy
 
 
 def open_program(path: Path) -> IO[str]:
@@ -76,6 +79,8 @@ def check_output(program: Path, out: Path, in_place: bool) -> None:
         If it cannot be written, or is the program itself and nobody said so.
     """
     if str(out) == STREAM:
+        if is_dropped(sys.stdout):
+            raise ValueError('--out -: expected an open standard output but it is closed')
         return
     check_folder(out)
     if not os.access(out if out.exists() else out.absolute().parent, os.W_OK):
@@ -100,14 +105,7 @@ def new_program(out: Path) -> Iterator[IO[str]]:
             shutil.copyfileobj(file.buffer, sys.stdout.buffer)
             sys.stdout.buffer.flush()
         return
-    part = out.with_name(f'.{out.name}.{secrets.token_hex(4)}')
-    try:
-        with open(part, 'x', encoding='utf-8', errors='surrogateescape', newline='') as file:
-            yield file
-        os.replace(part, out)
-    except BaseException as error:
-        with suppress(OSError):
-            part.unlink()
-        if isinstance(error, OSError) and error.filename in (None, str(part)):
-            about(error, out)
-        raise
+    with whole_file(out) as draft:
+        text = TextIOWrapper(draft, encoding='utf-8', errors='surrogateescape', newline='')
+        yield text
+        text.detach()  # which writes what it holds

@@ -111,7 +111,8 @@ def schedule(
         OptionalText,
         given(
             'How far the controller may round corners off, such as 0.01mm; 0mm stops at '
-            'every corner.  That of the machine file without it.',
+            'every corner.  What the program says (G64 P, G61) without it, else that of the '
+            'machine file.',
             metavar='LENGTH',
         ),
     ] = None,
@@ -157,7 +158,8 @@ def schedule(
         fuzzycnc schedule part.ngc --tolerance 10um --blend 0.01mm --feed 12000mm/min \
             --machine params/feedrate_scheduler.yaml --out fast.ngc --report fast.html
     """
-    from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader, jump_targets
+    from fuzzycnc_ros.core.feedrate.gcode.outline import outline_of
+    from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader
     from fuzzycnc_ros.core.feedrate.schedule.program_schedule import ProgramScheduler
     from fuzzycnc_ros.studies.programs.program_page import (
         ScheduleFigures,
@@ -167,7 +169,7 @@ def schedule(
     from fuzzycnc_ros.studies.programs.schedule_trace import PathTrace
 
     known = _settled(read_machine(machine), tolerance, method, blend, feed, override)
-    settings = _settings(known, feed, feed_step)
+    settings = replace(_settings(known, feed, feed_step), own_corners=blend is None)
     if units not in PROGRAM_UNITS:
         raise ValueError(f'--units: expected mm or inch but found {units!r}')
     check_output(program, out, in_place)
@@ -176,8 +178,8 @@ def schedule(
         files = subroutine_files(program)
         words, trace = Words(), PathTrace()
         with open_program(source) as file:
-            jumps = jump_targets(file)
-        reader = ProgramReader(units, follow=True, files=files, jumps=jumps)
+            outline = outline_of(file)
+        reader = ProgramReader(units, follow=True, files=files, outline=outline)
         rest = 0.0 if settings.blend else settings.settle  # at corners
         scheduler = ProgramScheduler(settings, trace.add if report is not None else None)
         try:
@@ -195,7 +197,7 @@ def schedule(
             str(program), known.scheduler.method, known.scheduler.tolerance,
             settings, scheduler.times, reader.notes,
             words.added, words.changed, *driven,
-            _name(words.begun[-1][0].line, scheduler.times.blocks),
+            _name(words.begun[-1][0].line, scheduler.times.blocks), sorted(scheduler.corners),
         )  # fmt: skip
         with redirect_stdout(sys.stderr) if str(out) == STREAM else nullcontext():
             known.say_constant()
@@ -206,7 +208,7 @@ def schedule(
                 say_unkept(figures.verdict)
         write_json(json_file, schedule_document(figures))
         if report is not None:
-            reader = ProgramReader(units, follow=True, files=files, jumps=jumps)
+            reader = ProgramReader(units, follow=True, files=files, outline=outline)
             stretch = _stretch(source, reader, words.stretch, figures.times.blocks)
             _write_report(report, stretch, figures, trace, known)
     if not figures.kept:
@@ -347,7 +349,7 @@ def _write_report(
         'Program': figures.program,
         'Method': config.method,
         'Tolerance': f'{1e3 * config.tolerance:g} mm',
-        'Corners': f'blended within {1e3 * config.blend:g} mm' if config.blend else 'exact stops',
+        'Corners': figures.corner_text,
         'Upper bound of the feed': 'the feed words of the program'
         if figures.settings.feed is None
         else speed(figures.settings.feed),

@@ -33,7 +33,7 @@ from fuzzycnc_ros.runtime.enums import (
     SpeedStatus,
     Status,
 )
-from fuzzycnc_ros.runtime.host import NodeConfiguration
+from fuzzycnc_ros.runtime.host import FINALIZED, WAS_FINALIZED, NodeConfiguration
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisState,
@@ -154,6 +154,7 @@ class MachineView:
         self.news = 0
         """How many records of `DATA` have come."""
         self._model: dict[str, Any] | None = None
+        self._model_clusters: list[dict[str, Any]] = []
         self._model_hash = ''
         self._trends: dict[str, Trend] = {}
         self._approaches: dict[str, Trend] = {}
@@ -206,7 +207,9 @@ class MachineView:
         report.parameters = _object(configuration.parameters)
         if configuration.model_hash and configuration.model_hash != self._model_hash:
             self._model_hash = configuration.model_hash
-            self._model = _model_facts(configuration, report.parameters)
+            document = _object(configuration.model)
+            self._model = _model_facts(document, configuration, report.parameters)
+            self._model_clusters = _model_clusters(document)
 
     def set_nodes(self, present: Collection[str], ended: Collection[str]) -> None:
         """Say which nodes are in the graph, and which of all have ended for sure."""
@@ -471,6 +474,8 @@ class MachineView:
             known = states.get(said, CompensationState.INACTIVE) if told is None else told.state
             state = word(CompensationState, known)
             why = visible(reason) if reason and said == state else _STATE_WORDS.get(known, state)
+            if report.lifecycle == FINALIZED:
+                why = f'the compensator {WAS_FINALIZED}'
             if known in _IN_FORCE:
                 state, why = self._in_force(state, why)
         applied = self._newest.get('compensation_applied')
@@ -578,7 +583,6 @@ class MachineView:
     def _sensors(self) -> dict[str, Any]:
         sample = self._newest.get('temperatures')
         error = self._newest.get('thermal_error')
-        selection = self._newest.get('sensor_selection')
         missing, values = [], {}
         if sample is not None:
             rows = zip(sample.sensor, sample.temperature.tolist(), sample.status, strict=False)
@@ -597,11 +601,16 @@ class MachineView:
             'substituted': substituted,
             'missing': missing,
             'values': values,
-            'clusters': [
-                {'chosen': visible(item.chosen), 'members': list(map(visible, item.member))}
-                for item in (() if selection is None else selection.cluster)
-            ],
+            'clusters': self._clusters(),
         }
+
+    def _clusters(self) -> list[dict[str, Any]]:
+        """Return the clusters of sensors: the model's own, else those of the newest selection."""
+        if self._model_clusters:
+            return self._model_clusters
+        selection = self._newest.get('sensor_selection')
+        found = () if selection is None else selection.cluster
+        return [_cluster(item.chosen, item.member) for item in found]
 
     def _model_document(self) -> dict[str, Any] | None:
         error = self._newest.get('thermal_error')
@@ -666,11 +675,28 @@ def _object(text: str) -> Mapping[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
+def _cluster(chosen: str, member: Iterable[str]) -> dict[str, Any]:
+    """Return a cluster of sensors as it is shown."""
+    return {'chosen': visible(chosen), 'members': list(map(visible, member))}
+
+
+def _model_clusters(document: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the clusters among which a model's sensors were chosen; empty if it names none."""
+    try:
+        return [
+            _cluster(str(item['chosen']), map(str, item['member']))
+            for item in document['selection']['clusters']
+        ]
+    except (KeyError, TypeError):
+        return []  # of another version
+
+
 def _model_facts(
-    configuration: NodeConfiguration, parameters: Mapping[str, Any]
+    document: Mapping[str, Any],
+    configuration: NodeConfiguration,
+    parameters: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Return what is shown of a model file: what it was trained on and how well it did."""
-    document = _object(configuration.model)
+    """Return the facts shown about a model file: its training runs and held-out errors."""
     runs = document.get('training_runs')
     held_out = {}
     try:

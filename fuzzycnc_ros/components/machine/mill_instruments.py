@@ -177,6 +177,8 @@ class Warmth(MillInstruments):
             f'offset {axis} [um]': f'{1e6 * offset:.2f}'
             for axis, offset in zip(MILL_AXES, self.offsets.applied, strict=True)
         }
+        if self.offsets.released:
+            return Health('compensation', Level.OK, 'at zero, as commanded last', values)
         level = Level.WARN if self.offsets.reason else Level.OK
         text = self.offsets.reason or self.offsets.status.name.lower()
         return Health('compensation', level, text, values)

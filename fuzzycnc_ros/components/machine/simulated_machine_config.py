@@ -154,7 +154,7 @@ class SimulatedMachineConfig(Config):
     axis_data: tuple[str, ...] = param(
         (),
         '-',
-        'Axes of a machine file, as X:plant.gain:0.31; --machine-file gives them',
+        'Axes of a machine file, as X:plant.gain:0.31; a machine file gives them',
     )
     servo_plant: tuple[str, ...] = param(
         (),

@@ -68,7 +68,7 @@ class FeedrateScheduler(MotionSender[FeedrateSchedulerConfig, PathRun]):
     CONFIG = FeedrateSchedulerConfig
     AXES = Input('axis_state', AxisState, max_age=60.0, quiet=True)
     MACHINE = Input('machine_state', MachineState, max_age=600.0)
-    FOLLOWED = Input('trajectory_state', TrajectoryState, quiet=True)
+    FOLLOWED = Input('trajectory_state', TrajectoryState, quiet=True, paced=False)
     INPUTS = (AXES, MACHINE, FOLLOWED, Input('tool_path', ToolPath, LATCHED, driving=True))
     OUTPUTS = (Output('trajectory', Trajectory), Output('feed_schedule', FeedSchedule))
     MANAGED = True

@@ -89,7 +89,7 @@ class JointTrajectoryBridge(MotionSender[JointTrajectoryBridgeConfig, JointRun])
     SUMMARY = 'Follows joint trajectories of ROS, tells joint states. Managed lifecycle.'
     CONFIG = JointTrajectoryBridgeConfig
     MACHINE = Input('machine_state', MachineState, max_age=600.0, quiet=True)
-    FOLLOWED = Input('trajectory_state', TrajectoryState, quiet=True)
+    FOLLOWED = Input('trajectory_state', TrajectoryState, quiet=True, paced=False)
     AXES = Input('axis_state', AxisState, driving=True, max_age=60.0)
     INPUTS = (MACHINE, FOLLOWED, AXES)
     OUTPUTS = (Output('trajectory', Trajectory), Output('joint_states', JointStates))

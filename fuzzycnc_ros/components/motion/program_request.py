@@ -52,6 +52,7 @@ def program_settings(config: FeedrateSchedulerConfig) -> ProgramSettings:
         limits=make_limits(config),
         machine_constant=config.machine_constant,
         blend=config.blend,
+        own_corners=False,  # the node's motion rounds corners as its parameter says
         override=config.feed_override,
         settle=config.settle,
         window=config.jerk_window or None,

@@ -16,7 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core import portable
-from fuzzycnc_ros.core.feedrate.gcode.arcs import ABSOLUTE_MISFIT, POINT_ROUNDING, RELATIVE_MISFIT
+from fuzzycnc_ros.core.feedrate.gcode.arcs import (
+    MISFIT_INCH,
+    MISFIT_MOST,
+    POINT_ROUNDING,
+    RELATIVE_MISFIT,
+    TURNS_MAX,
+)
 from fuzzycnc_ros.core.feedrate.gcode.segments import (
     ArcSegment,
     DwellSegment,
@@ -41,8 +47,6 @@ if TYPE_CHECKING:
 PATH_AXES = ('X', 'Y', 'Z')
 """Axes that a tool path may have."""
 
-TURNS_MAX = 1000.0
-"""Largest number of turns of an arc."""
 _AXIS_MISFIT = 1e-9
 
 
@@ -520,7 +524,10 @@ def _check_circles(
 ) -> None:
     """Refuse arcs whose end is not where their start turned by their angle lies."""
     first, last = np.hypot(*start.T), np.hypot(*end.T)
-    room = np.maximum(ABSOLUTE_MISFIT, RELATIVE_MISFIT * first)
+    # The path does not say in which unit its program was written: the wider tolerance of both.
+    room = np.clip(
+        RELATIVE_MISFIT * np.maximum(first, last), MISFIT_INCH, MISFIT_MOST * MISFIT_INCH
+    )
     wrong = (first < POINT_ROUNDING) | (np.abs(last - first) > room)
     found = 'start and end of the arc equally far from its centre but found {:.6g} m and {:.6g} m'
     _refuse_segments(path, wrong, found, first, last, chosen=chosen)

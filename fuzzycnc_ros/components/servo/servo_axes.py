@@ -80,8 +80,8 @@ def file_axes(name: str, axes: Mapping[str, str], texts: Iterable[str]) -> dict[
     for axis in wanted:
         if not known:
             raise ValueError(
-                f'{name}: expected data of the axis {axis} but found none; give its machine file '
-                'by --machine-file'
+                f'{name}: expected data of the axis {axis} but found none; give the '
+                'machine file that has it'
             )
         if axis not in known:
             raise ValueError(

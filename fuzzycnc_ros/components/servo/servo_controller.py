@@ -61,7 +61,7 @@ class ServoController(Component[ServoControllerConfig]):
     CONFIG = ServoControllerConfig
     INPUTS = (
         Input('machine_state', MachineState, quiet=True),
-        Input('position_command', PositionCommand, quiet=True),
+        Input('position_command', PositionCommand, quiet=True, paced=False),
         Input('trajectory', Trajectory, quiet=True),
         Input('axis_state', AxisState, driving=True),
     )

@@ -51,7 +51,7 @@ class ServoControllerConfig(Config):
     axis_data: tuple[str, ...] = param(
         (),
         '-',
-        'Axes of a machine file, as X:plant.gain:0.31; --machine-file gives them',
+        'Axes of a machine file, as X:plant.gain:0.31; a machine file gives them',
     )
     axis_controller: str = param(
         FROM_FILE,

@@ -25,10 +25,10 @@ from fuzzycnc_ros.core.deformation.compensation import (
     CompensationConfig,
     StepFlag,
     compensate_path,
-    limit_offsets,
 )
-from fuzzycnc_ros.core.deformation.model import GAIN_MAX, GAIN_MIN, DeformationModel, read_model
+from fuzzycnc_ros.core.deformation.model import GAIN_MAX, GAIN_MIN, DeformationModel
 from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets, read_offsets
+from fuzzycnc_ros.core.deformation.soft_model import SoftModel, compensated, read_soft_model
 from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial, StitchPath
 from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.runtime import records
@@ -55,7 +55,8 @@ class DeformationCompensatorConfig(CompensationConfig):
     model: str = param(
         '',
         '-',
-        'Model file made by fuzzycnc foam train; empty stitches without compensation',
+        'Model file made by fuzzycnc foam train, or offsets of one track by fuzzycnc foam learn; '
+        'empty stitches without compensation',
         live=True,
     )
     offsets: str = param(
@@ -145,7 +146,7 @@ class DeformationCompensator(Component[DeformationCompensatorConfig]):
     def __init__(self, config: DeformationCompensatorConfig | None = None) -> None:
         super().__init__(config)
         self._active = False
-        self._model: Source[DeformationModel] | None = None
+        self._model: Source[SoftModel] | None = None
         self._offsets: Source[StitchOffsets] | None = None
         self._handled = (-1, '')  # stamp and name of the newest pattern that was taken
         self._level, self._text = Level.OK, 'inactive'
@@ -187,7 +188,7 @@ class DeformationCompensator(Component[DeformationCompensatorConfig]):
         source: Source[Any] | None = None
         try:
             if what == 'model':
-                source = self._model = _source(read_model, text)
+                source = self._model = _source(read_soft_model, text)
             else:
                 source = self._offsets = _source(read_offsets, text)
         except ValueError as error:
@@ -219,13 +220,13 @@ class DeformationCompensator(Component[DeformationCompensatorConfig]):
         course = Course(numbers, primitives)
         path = StitchPath.of_primitives(primitives)
         material.check(path)
-        learnt = self._learnt(pattern, material, path.points)
-        source: Source[Any] | None
-        if learnt is not None:
-            found, source = self._with_offsets(path, material, learnt), self._offsets
+        source: Source[Any] | None = self._learnt(pattern, material, path.points)
+        learnt = source is not None
+        if source is not None:
+            found = compensated(path, material, source.content, self._config)
         else:
             found, source = self._with_model(path, material), self._model
-        self._report(pattern.path_id, found, learnt is not None)
+        self._report(pattern.path_id, found, learnt)
         if found.refused.any() and self._config.on_refused == 'stop':
             self._say(Level.ERROR, f'{self._text}; not stitched, as on_refused says')
             return
@@ -263,32 +264,19 @@ class DeformationCompensator(Component[DeformationCompensatorConfig]):
 
     def _learnt(
         self, pattern: StitchPattern, material: SheetMaterial, points: Floats
-    ) -> Floats | None:
-        """Return the learnt offsets of a pattern; None if there are none for it."""
-        if self._offsets is None:
-            return None
-        offsets = self._offsets.content
-        self._unused = offsets.mismatch(pattern.path_id, material.name, points)
-        return None if self._unused else offsets.offset
-
-    def _with_offsets(
-        self, path: StitchPath, material: SheetMaterial, wanted: Floats
-    ) -> CompensatedPath:
-        """Return a path with learnt offsets, within their limits."""
-        plain = CompensatedPath.unchanged(path.points)
-        offset, flag = limit_offsets(
-            path.points,
-            wanted,
-            offset_max=self._config.offset_max,
-            progress_min=self._config.progress_min,
-            size=material.size,
-        )
-        flag = flag | np.where(path.lengths > 0.0, 0, StepFlag.ZERO_LENGTH)
-        return CompensatedPath(path.points, offset, plain.compensation, plain.support, flag)
+    ) -> Source[Any] | None:
+        """Return the learnt offsets for a pattern; None if there are none for it."""
+        for source in (self._offsets, self._model):
+            if source is None or not isinstance(source.content, StitchOffsets):
+                continue
+            self._unused = source.content.mismatch(pattern.path_id, material.name, points)
+            if not self._unused:
+                return source
+        return None
 
     def _with_model(self, path: StitchPath, material: SheetMaterial) -> CompensatedPath:
         """Return a path with the model's offsets; without a model all are 0."""
-        if self._model is None:
+        if self._model is None or not isinstance(self._model.content, DeformationModel):
             return CompensatedPath.unchanged(path.points)
         model, gain = self._model.content, np.array(self._config.gain)
 
@@ -322,7 +310,11 @@ class DeformationCompensator(Component[DeformationCompensatorConfig]):
         elif learnt:
             self._say(Level.OK, f'{name}: learnt offsets')
         else:
-            what = 'not compensated: no model' if self._model is None else 'compensated'
+            what = 'compensated'
+            if self._model is None or isinstance(self._model.content, StitchOffsets):
+                what = 'not compensated: no model'
+            elif not self._model.content.corrects:
+                what = 'not compensated: the model says that no correction is better'
             self._say(Level.OK, f'{name}: {what}')
 
     def _say(self, level: Level, text: str) -> None:

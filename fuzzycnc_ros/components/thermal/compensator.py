@@ -219,6 +219,20 @@ class Compensator(Component[CompensatorConfig]):
             self._bad_since = stamp
         return replace(answer, emissions=(self._update(stamp),))
 
+    def restore(self, output: str, record: Record) -> None:
+        """Go on as the owner that told a command, where a replay begins after its beginning."""
+        if not (isinstance(record, Compensation) and record.axis == self._axes and self._active):
+            return
+        self._epoch = self._told_epoch = record.epoch
+        self._told_at = self._moved_at = record.stamp
+        self._followed, self._rival = True, 0
+        self._state = CompensationState(record.state)
+        self._offset, self._slewing = record.offset.copy(), record.slewing.copy()
+        self._at_limit = record.at_limit.copy()
+        if self._state is CompensationState.ACTIVE:
+            self._bad_since = None
+        self._wake_at = self._following_deadline(record.stamp)
+
     @property
     def at_rest(self) -> bool:
         """Whether all offsets are zero and nothing is being followed."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
+from fuzzycnc_ros.core.thermal.sensor_limits import JUDGED
 from fuzzycnc_ros.core.thermal.sensor_watch import SensorSelection as Selection
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
@@ -67,7 +68,7 @@ class SensorSelector(Component[SensorSelectorConfig]):
     NAME = 'sensor_selector'
     SUMMARY = 'Chooses few representative sensors from calibration runs, with substitutes.'
     CONFIG = SensorSelectorConfig
-    MEASURED = Input('displacement', Displacement)
+    MEASURED = Input('displacement', Displacement, paced=False)
     INPUTS = (MEASURED, Input('temperatures', Temperatures, driving=True))
     OUTPUTS = (Output('sensor_selection', SensorSelection, LATCHED, persistent=True),)
 
@@ -159,6 +160,7 @@ class SensorSelector(Component[SensorSelectorConfig]):
             channel=measured.channel,
             axis=measured.axis,
             displacement=np.array([item.displacement for _, item in self._samples]),
+            limits=JUDGED,
         )
 
 

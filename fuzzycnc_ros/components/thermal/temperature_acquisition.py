@@ -16,6 +16,7 @@ import numpy as np
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.inputs.offsets import NEGLIGIBLE, describe
 from fuzzycnc_ros.core.names import repeated_names
+from fuzzycnc_ros.core.thermal.sensor_limits import SensorLimits
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
     Answer,
@@ -75,11 +76,16 @@ class TemperatureAcquisitionConfig(Config):
     csv_file: str = param(
         '',
         '-',
-        'File to read, for the source csv: a time column in s and one column per sensor in degC',
+        'File to play, for the source csv: a time column in s and one column per sensor in degC',
     )
     csv_time: str = param('time', '-', 'Name of the time column of csv_file')
     csv_rate: float = param(
-        1.0, '-', 'Speed at which a file is played, 1 is real time', low=1e-3, high=1e6
+        1.0,
+        '-',
+        'Speed at which a file is played; at 1 its readings are stamped now, else with the times '
+        'of the file',
+        low=1e-3,
+        high=1e6,
     )
     device_file: str = param(
         '',
@@ -110,6 +116,12 @@ class TemperatureAcquisitionConfig(Config):
         high=50.0,
         live=True,
     )
+    sensor_limits: tuple[str, ...] = param(
+        (),
+        '-',
+        'Limits of single sensors in place of those above, as SENSOR:LIMIT:VALUE, such as '
+        'bed*:rate_max:0.7; limits: range_low, range_high [degC], rate_max [K/s], noise_band [K]',
+    )
     stuck_time: float = param(
         600.0,
         's',
@@ -121,6 +133,10 @@ class TemperatureAcquisitionConfig(Config):
     reference_samples: int = param(
         3, '-', 'Samples averaged into the thermal reference', low=1, high=100
     )
+
+
+TINY = 1e-6
+"""Size of a temperature below which it is none [degC], unless it is 0: bytes in a wrong order."""
 
 
 class TemperatureAcquisition(Component[TemperatureAcquisitionConfig]):
@@ -147,6 +163,7 @@ class TemperatureAcquisition(Component[TemperatureAcquisitionConfig]):
                 f'range_low = {self._config.range_low} degC must lie below '
                 f'range_high = {self._config.range_high} degC'
             )
+        self._own_limits = SensorLimits.of(self._config.sensor_limits)
         self._sensor: tuple[str, ...] = ()
         self._boundary: int | None = None
         self._reference: ThermalReference | None = None
@@ -157,6 +174,11 @@ class TemperatureAcquisition(Component[TemperatureAcquisitionConfig]):
         self._refused = ''
         self._read_at = 0
         self._start_afresh(0)
+
+    def reconfigure(self, config: TemperatureAcquisitionConfig) -> None:
+        """Take limits; they hold from the next reading on."""
+        super().reconfigure(config)
+        self._own_limits = SensorLimits.of(config.sensor_limits)
 
     def on_machine_state(self, state: MachineState) -> None:
         """Start to collect a reference when the machine reports a new cold start."""
@@ -251,8 +273,8 @@ class TemperatureAcquisition(Component[TemperatureAcquisitionConfig]):
         if self._refused:
             items.append(Health('readings', Level.ERROR, self._refused))
         bad = {
-            name: Status(verdict).name.lower()
-            for name, verdict in zip(self._sensor, self._status, strict=True)
+            name: Status(verdict).name.lower() + self._why_missing(place)
+            for place, (name, verdict) in enumerate(zip(self._sensor, self._status, strict=True))
             if verdict != Status.OK
         }
         if bad:
@@ -321,6 +343,8 @@ class TemperatureAcquisition(Component[TemperatureAcquisitionConfig]):
         self._count = 0
         self._bad: Bytes = np.full(size, int(Status.MISSING), np.uint8)
         self._last = np.full(size, np.nan)
+        self._alive = np.zeros(size, np.bool_)
+        """Sensors that have read something else than 0: one that never did is none."""
         self._changed = np.full(size, stamp, np.int64)
         self._trusted = np.full(size, np.nan)
         self._trusted_at = np.full(size, stamp, np.int64)
@@ -332,7 +356,8 @@ class TemperatureAcquisition(Component[TemperatureAcquisitionConfig]):
         status = np.zeros(len(value), np.uint8)
         with np.errstate(invalid='ignore'):
             status[self._too_fast(value, reading.stamp)] = Status.RATE
-            status[(value < config.range_low) | (value > config.range_high)] = Status.OUT_OF_RANGE
+            low, high = self._limit('range_low'), self._limit('range_high')
+            status[(value < low) | (value > high)] = Status.OUT_OF_RANGE
         moved = value != self._last
         self._changed[moved] = reading.stamp
         self._last = value.copy()
@@ -341,22 +366,42 @@ class TemperatureAcquisition(Component[TemperatureAcquisitionConfig]):
             status[still & (status == Status.OK)] = Status.STUCK
         told = np.where(reading.status <= max(Status), reading.status, int(Status.MISSING))
         status = np.where(status == Status.OK, told, status).astype(np.uint8)
-        status[~np.isfinite(value)] = Status.MISSING
+        self._alive |= np.isfinite(value) & (value != 0.0)
+        nothing = np.where(value == 0.0, ~self._alive, np.abs(value) < TINY)
+        status[~np.isfinite(value) | nothing] = Status.MISSING
         good = status == Status.OK
         self._trusted[good] = value[good]
         self._trusted_at[good] = reading.stamp
         return status
 
+    def _why_missing(self, place: int) -> str:
+        """Return what a sensor reads that is no reading, if it reads anything."""
+        value = self._last[place]
+        if self._status[place] != Status.MISSING or not abs(value) < TINY:
+            return ''
+        if value == 0.0:
+            return ' (has read 0 since the start)'
+        return f' (reads {value:.3g} degC, which no sensor does)'
+
     def _too_fast(self, value: Floats, stamp: int) -> Bools:
         """Return which readings left the last trusted one faster than metal can.
 
         The allowance grows with the time since the last trusted reading, but no further than
-        five noise bands: a plug that came loose must not become plausible by waiting.
+        five noise bands, or a minute at the fastest rate: a plug that came loose must not become
+        plausible by waiting.
         """
         age = (stamp - self._trusted_at) / SECOND
-        slow = np.minimum(self._config.rate_max * age, 5.0 * self._config.noise_band)
-        too_fast: Bools = np.abs(value - self._trusted) > self._config.noise_band + slow
+        rate, band = self._limit('rate_max'), self._limit('noise_band')
+        slow = np.minimum(rate * age, np.maximum(5.0 * band, rate * 60.0))
+        too_fast: Bools = np.abs(value - self._trusted) > band + slow
         return too_fast
+
+    def _limit(self, name: str) -> Floats | float:
+        """Return a limit: one for all sensors, or of each, where some have their own."""
+        usual: float = getattr(self._config, name)
+        if not self._own_limits.entries:
+            return usual
+        return self._own_limits.values(name, self._sensor, usual)
 
     def _sample(self, reading: Temperatures) -> Temperatures:
         """Average the readings since the last sample and start afresh."""

@@ -185,6 +185,8 @@ class ModelHistory:
         if self.remainder.remaining and self._predicted_at is not None:
             error = error + self.remainder.advance((stamp - self._predicted_at) / SECOND)
         self._predicted_at = stamp
+        if not self._usable(error, deviation):
+            return
         assert self._source is not None
         self.prediction = Prediction(
             axis=self.model.axis,
@@ -294,13 +296,18 @@ class ModelHistory:
         error = self._advance(vector, steps)
         self._stepped_at = stamp
         self._vector = vector
-        if not np.isfinite(error).all():
-            self.refuse(
-                Reason.NO_MODEL,
-                f'expected a finite error but {self.label} gives {error}; train the model anew',
-            )
-            return None
-        return error if self._history_is_known(stamp) else None
+        return error if self._usable(error) and self._history_is_known(stamp) else None
+
+    def _usable(self, *values: Floats) -> bool:
+        """Return whether what would be published is finite; if not, say so."""
+        if all(np.isfinite(value).all() for value in values):
+            return True
+        self.refuse(
+            Reason.NO_MODEL,
+            f'expected a finite error and deviation but {self.label} gives '
+            f'{" and ".join(str(value) for value in values)}; train the model anew',
+        )
+        return False
 
     def _advance(self, vector: Floats, steps: int) -> Floats:
         """Step the model, along a straight line over missing samples."""

@@ -257,7 +257,7 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
         Input(STATE, MachineState, quiet=True, sole=True),
         Input(OWN, SpindleSpeed, quiet=True),
         Input('compensation_applied', CompensationApplied, quiet=True, sole=True),
-        Input('displacement', Displacement, quiet=True),
+        Input('displacement', Displacement, quiet=True, paced=False),
         Input('temperatures', Temperatures, driving=True, sole=True),
     )
     OUTPUTS = (
@@ -436,8 +436,9 @@ def refusal_of(model: ThermalModel) -> str:
     """Return why a model that is worse than none is not used, and what to do."""
     return (
         f'expected less to be left than without compensation, but found {losses_of(model)}; '
-        f'train with --model auto, which leaves {", ".join(model.losing)} uncompensated, or use '
-        'it all the same with the parameter force (fuzzycnc up --force-model)'
+        f'train with the model auto, which leaves {", ".join(model.losing)} uncompensated '
+        '(`fuzzycnc train --model auto`), or use it all the same with the parameter force '
+        '(`fuzzycnc up --force-model`)'
     )
 
 

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.config import Config, param
+from fuzzycnc_ros.core.deformation.features import FOLD_FROM, half_turns, opposite_sign
 from fuzzycnc_ros.core.deformation.stitch_path import ARC, LINE, SheetMaterial, StitchPath
 
 
@@ -114,7 +115,6 @@ SAMPLE_LENGTH = {ARC: 30e-3, LINE: REFERENCE_LENGTH}
 """Lengths of the samples behind a model, by kind [m]."""
 
 _MM = 1e-3
-_FOLD_FROM = np.radians(-30.0)  # directions are folded into half a turn from here on
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -312,8 +312,8 @@ def feature_rows(
     Returns
     -------
     x : ndarray, shape (n, 5)
-        Direction [deg] from -30 to less than 150, feed depth [mm], type (1 arc, 2 line), stitch
-        step [mm], thickness [mm].
+        Direction [deg], folded as `half_turns` says, feed depth [mm], type (1 arc, 2 line),
+        stitch step [mm], thickness [mm].
     sign : ndarray, shape (n,)
         -1 where the step goes in the opposite direction, whose drag is the negative; else 1.
 
@@ -323,18 +323,18 @@ def feature_rows(
     """
     feed = np.diff(path.points, axis=0)
     direction = portable.arctan2(feed[:, 1], feed[:, 0])
-    half_turns = np.floor((direction - _FOLD_FROM) / np.pi)
+    turns = half_turns(np.degrees(direction), FOLD_FROM)
     told = path.step if step is None else np.broadcast_to(step, len(feed))
     x = np.column_stack(
         [
-            np.degrees(direction - np.pi * half_turns),
+            np.degrees(direction - np.pi * turns),
             path.depth / _MM,
             path.kind,
             told / _MM,
             np.full(len(feed), material.thickness / _MM),
         ]
     )
-    return x, np.where(half_turns % 2.0, -1.0, 1.0)
+    return x, opposite_sign(turns)
 
 
 def _checked(output: ArrayLike, count: int) -> Array:

@@ -6,18 +6,24 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import floor
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core import portable
-from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.arrays import LENGTH_MIN, NUMBER_MAX, Array
 from fuzzycnc_ros.core.deformation.features import (
+    COVERED_GAP,
     FEATURE_SETS,
+    HALF_TURN,
     PROCESS_VALUES,
     FeatureSet,
     check_process_values,
+    direction_range,
     feature_set,
+    folded,
+    half_turns,
     load,
 )
 from fuzzycnc_ros.core.document import Node, parse_document
@@ -118,6 +124,9 @@ class RuleNetwork:
         extended inputs in the place of the hidden nodes.
     offset : ndarray, shape (r,)
         Mean output, which is added.
+    normalised : bool
+        Whether the fitness of the rules is normalised over them.  A Gaussian process has a rule
+        for each sample, whose fitness is the kernel; its consequents are constants, m = 1.
 
     Notes
     -----
@@ -129,15 +138,21 @@ class RuleNetwork:
     inner: Array | None
     outer: Array
     offset: Array
+    normalised: bool = True
 
     def values(self, inputs: Array) -> Array:
         """Return the outputs, shape (k, r), of inputs (k, n)."""
         # Samples are in the last place, where loops over them are long and fast.
         columns = np.ascontiguousarray(inputs.T)
-        fitness = normalised_firing(self.antecedent.log_fitness(inputs).T, axis=0)
-        pull = (portable.matmul(self._outer, fitness)).reshape(len(self.offset), -1, len(inputs))
+        logarithm = self.antecedent.log_fitness(inputs).T
+        if self.normalised:
+            fitness = normalised_firing(logarithm, axis=0)
+        else:
+            fitness = portable.exp(logarithm)
+        pull = portable.matmul(self._outer, fitness).reshape(len(self.offset), -1, len(inputs))
         if self.inner is None:
-            pull[:, 1:] *= columns
+            if self.normalised:
+                pull[:, 1:] *= columns
         else:
             nodes = portable.matmul(self._slopes, columns)
             nodes += self._biases[:, np.newaxis]
@@ -155,7 +170,10 @@ class RuleNetwork:
         least = fitness.min()
         fitness = portable.exp(least - fitness)
         total = fitness.sum()
-        pull = (portable.matmul(self._outer, fitness)).reshape(len(self.offset), -1)
+        pull = portable.matmul(self._outer, fitness).reshape(len(self.offset), -1)
+        if not self.normalised:
+            total = total * portable.exp(-least)
+            return pull[:, 0] * portable.exp(-least) + self.offset, float(portable.log(total))
         if self.inner is None:
             pull *= np.concatenate([_ONE, row])
         else:
@@ -210,7 +228,7 @@ class Gate:
     Parameters
     ----------
     low, high : ndarray, shape (5,)
-        Least and largest process values.
+        Least and largest process values; directions are those between, and their opposites.
     ratio_low, ratio_high : float
         Least and largest depth over thickness [-].
     support_min : float
@@ -227,17 +245,34 @@ class Gate:
     def of_training(x: Array, support: Array, quantile: float = SUPPORT_QUANTILE) -> 'Gate':
         """Return the gate of training samples (k, 5) and the logarithm of their support (k,)."""
         ratio = x[:, 1] / x[:, 4]
+        low, high = x.min(axis=0), x.max(axis=0)
+        low[0], high[0] = direction_range(x[:, 0])
         return Gate(
-            x.min(axis=0),
-            x.max(axis=0),
+            low,
+            high,
             float(ratio.min()),
             float(ratio.max()),
             float(np.quantile(support, quantile)),
         )
 
+    @property
+    def fold_from(self) -> float:
+        """Where the half turn begins that has the directions of the samples amid [deg]."""
+        return 0.5 * float(self.low[0] + self.high[0] - HALF_TURN)
+
+    @property
+    def all_round(self) -> bool:
+        """Whether the samples cover all directions."""
+        return bool(self.high[0] - self.low[0] >= HALF_TURN - COVERED_GAP)
+
     def inside(self, x: Array) -> NDArray[np.bool_]:
         """Return whether rows of process values (k, 5) lie in the box; NaN does not."""
-        within = ((x >= self.low - _TOLERANCE) & (x <= self.high + _TOLERANCE)).all(axis=1)
+        rows = x[:, 1:]
+        in_box = (rows >= self.low[1:] - _TOLERANCE) & (rows <= self.high[1:] + _TOLERANCE)
+        with np.errstate(invalid='ignore'):  # an infinite direction has no place, as NaN
+            beyond = np.mod(x[:, 0] - self.low[0] + _TOLERANCE, HALF_TURN)
+        span = HALF_TURN if self.all_round else self.high[0] - self.low[0]
+        within = in_box.all(axis=1) & (beyond <= span + 2.0 * _TOLERANCE)
         depth, kind, thickness = x[:, 1], x[:, 2], x[:, 4]
         within &= (kind == 1.0) | (kind == 2.0)
         # Products, not ratios: a thickness of 0 is refused without a division.
@@ -250,8 +285,15 @@ class Gate:
         return np.asarray(self.inside(x) & (support >= self.support_min))
 
     def clip(self, x: Array) -> Array:
-        """Return the rows with each value, and depth over thickness, cut at the box."""
-        cut = np.clip(x, self.low, self.high)
+        """Return the rows with each value, and depth over thickness, cut at the box.
+
+        A direction is cut at the nearer end, and stays in its half of the full turn.
+        """
+        turned = HALF_TURN * half_turns(x[:, 0], self.fold_from)
+        cut = x.copy()
+        cut[:, 0] -= turned
+        cut = np.clip(cut, self.low, self.high)
+        cut[:, 0] += turned
         cut[:, 1] = np.clip(cut[:, 1], self.ratio_low * cut[:, 4], self.ratio_high * cut[:, 4])
         return np.asarray(cut)
 
@@ -354,16 +396,19 @@ class DeformationModel:
     def predict(self, x: ArrayLike) -> Array:
         """Return compensations, shape (k, r) [mm per 50 mm], of process values (k, 5).
 
+        Directions may be any: opposite ones have opposite compensations.
+
         Raises
         ------
         ValueError
             If a row is none of a primitive, see `check_process_values`.
         """
-        return self._values(check_process_values(x)) * self.gain.value
+        rows, sign = self._folded(x)
+        return self._values(rows) * sign[:, np.newaxis] * self.gain.value
 
     def support(self, x: ArrayLike) -> Array:
         """Return the logarithm of the rules' support, shape (k,), of process values (k, 5)."""
-        rows = check_process_values(x)
+        rows, _ = self._folded(x)
         result = np.empty(len(rows))
         for part in _chunks(len(rows)):
             result[part] = self.network.antecedent.support(self._inputs(rows[part]))
@@ -393,14 +438,15 @@ class DeformationModel:
             Process values, not checked: ask `accepts` first.
         """
         features = self._features
-        inputs = features.one(x)
+        turns = floor((x[0] - self.gate.fold_from) / HALF_TURN)
+        inputs = features.one((x[0] - HALF_TURN * turns, *x[1:]))
         if len(self.columns) < len(features.names):
             inputs = [inputs[at] for at in self.columns]
         values, support = self.network.one(inputs)
         values *= self.gain.value
         if features.loaded:
             values *= load(x[1], x[3], x[4])
-        return values, support
+        return (-values if turns % 2 else values), support
 
     def adapted(self, x: ArrayLike, measured: ArrayLike) -> 'DeformationModel':
         """Return the model with gains that take in measured compensations.
@@ -418,7 +464,8 @@ class DeformationModel:
             If a value is not finite or of no primitive, or the rows do not match.
         """
         gain = self.gain
-        predicted = self._values(check_process_values(x))
+        rows, sign = self._folded(x)
+        predicted = self._values(rows) * sign[:, np.newaxis]
         needed = np.asarray(measured, dtype=np.float64)
         if needed.shape != predicted.shape:
             raise ValueError(
@@ -433,8 +480,17 @@ class DeformationModel:
         return replace(self, gain=AxisGain.unit(len(self.network.offset)))
 
     @cached_property
+    def corrects(self) -> bool:
+        """Whether it compensates anything: 'none' may be what did best on held-out samples."""
+        return bool(self.network.outer.any() or self.network.offset.any())
+
+    @cached_property
     def _features(self) -> FeatureSet:
         return feature_set(self.features)
+
+    def _folded(self, x: ArrayLike) -> tuple[Array, Array]:
+        """Return checked process values in the half turn of the samples, and their signs."""
+        return folded(check_process_values(x), self.gate.fold_from)
 
     def _inputs(self, rows: Array) -> Array:
         return self._features.rows(rows)[:, self.columns]
@@ -456,8 +512,8 @@ def _chunks(count: int) -> Iterator[slice]:
 _SCHEMA = 'fuzzycnc/deformation-model'
 """What a model file says it is."""
 
-_SCHEMA_VERSION = 1
-"""Version of the layout."""
+_SCHEMA_VERSIONS = (1, 2)
+"""Versions of the layout; 2 has rules whose fitness is not normalised, those of a process."""
 
 MODEL_SIZE_MAX = 4 * 1024 * 1024
 """Largest document that is read [characters]; a default model takes 0.03 million."""
@@ -470,7 +526,7 @@ def write_model(model: DeformationModel) -> str:
     names = FEATURE_SETS[model.features].names
     document = {
         'schema': _SCHEMA,
-        'schema_version': _SCHEMA_VERSION,
+        'schema_version': 1 if network.normalised else 2,
         'units': {'direction': 'deg', 'length': 'mm', 'compensation': 'mm per 50 mm'},
         'features': model.features,
         'inputs': [names[at] for at in model.columns],
@@ -504,29 +560,36 @@ def read_model(text: str) -> DeformationModel:
         If the text is too large, no JSON, of another schema or version, or holds a value of
         another type, shape or range.
     """
-    root = parse_document(text, 'model file', MODEL_SIZE_MAX)
+    return model_of(text, parse_document(text, 'model file', MODEL_SIZE_MAX))
+
+
+def model_of(text: str, root: Node) -> DeformationModel:
+    """Return the model of a document and its parsed content; errors as `read_model`."""
+    if len(text) > MODEL_SIZE_MAX:
+        root.refuse(f'at most {MODEL_SIZE_MAX} characters')
     if root.get('schema').text() != _SCHEMA:
         root.get('schema').refuse(f'the schema {_SCHEMA!r}')
     version = root.get('schema_version')
-    if type(version.value) is not int or version.value != _SCHEMA_VERSION:
-        version.refuse(f'schema version {_SCHEMA_VERSION}; train the model anew')
+    if type(version.value) is not int or version.value not in _SCHEMA_VERSIONS:
+        known = ' or '.join(map(str, _SCHEMA_VERSIONS))
+        version.refuse(f'schema version {known}; train the model anew')
     features = root.get('features').text()
     if features not in FEATURE_SETS:
         root.get('features').refuse(f'one of {", ".join(FEATURE_SETS)}')
     columns = _columns(root.get('inputs'), FEATURE_SETS[features].names)
-    network = _network(root, len(columns))
+    network = _network(root, len(columns), normalised=version.value == 1)
     gate = root.get('gate')
-    low = _vector(gate.get('low'), len(PROCESS_VALUES))
+    low = _vector(gate.get('low'), len(PROCESS_VALUES), -NUMBER_MAX)
     return DeformationModel(
         features,
         columns,
         network,
         Gate(
             low,
-            _at_least(gate.get('high'), _vector(gate.get('high'), len(low)), low),
-            gate.get('ratio_low').number(),
-            gate.get('ratio_high').number(),
-            gate.get('support_min').number(),
+            _at_least(gate.get('high'), _vector(gate.get('high'), len(low), -NUMBER_MAX), low),
+            gate.get('ratio_low').number(0.0, NUMBER_MAX),
+            gate.get('ratio_high').number(0.0, NUMBER_MAX),
+            gate.get('support_min').number(-NUMBER_MAX, NUMBER_MAX),
         ),
         _gain(root.get('gain'), len(network.offset)),
     )
@@ -540,41 +603,39 @@ def _columns(node: Node, names: tuple[str, ...]) -> tuple[int, ...]:
     return columns
 
 
-def _network(root: Node, inputs: int) -> RuleNetwork:
+def _network(root: Node, inputs: int, *, normalised: bool) -> RuleNetwork:
     rules = root.get('rules')
-    center = rules.get('center').matrix(inputs)
-    width = rules.get('width').matrix(inputs)
-    if not len(center) or len(width) != len(center) or not (width > 0.0).all():
-        rules.get('width').refuse(f'positive widths of {len(center)} rules, at least one')
-    decay, power = rules.get('decay'), rules.get('power')
-    if not decay.number() > 0.0:
-        decay.refuse('more than 0')
+    center = rules.get('center').matrix(inputs, -NUMBER_MAX, NUMBER_MAX)
+    width = rules.get('width').matrix(inputs, LENGTH_MIN, NUMBER_MAX)
+    if not len(center) or len(width) != len(center):
+        rules.get('width').refuse(f'widths of {len(center)} rules, at least one')
+    decay, power = rules.get('decay').number(LENGTH_MIN, NUMBER_MAX), rules.get('power')
     if power.value not in (1, 2):
         power.refuse('1 or 2')
-    offset = root.get('offset').vector()
-    if len(offset) != 2:
-        root.get('offset').refuse('two numbers, X and Y')
+    offset = _vector(root.get('offset'), 2, -NUMBER_MAX)
     inner = root.get('inner')
     weights = None if inner.value is None else _cube(inner, len(offset), inputs + 1)
+    if not normalised and weights is not None:
+        inner.refuse('none in version 2')
     outer = _cube(root.get('outer'), len(offset), len(center))
-    if outer.shape[1] != (inputs + 1 if weights is None else weights.shape[1]):
+    linear = inputs + 1 if normalised else 1
+    if outer.shape[1] != (linear if weights is None else weights.shape[1]):
         root.get('outer').refuse('as many rows as there are hidden nodes')
-    return RuleNetwork(
-        Antecedent(center, width, decay.number(), int(power.number())), weights, outer, offset
-    )
+    antecedent = Antecedent(center, width, decay, int(power.number()))
+    return RuleNetwork(antecedent, weights, outer, offset, normalised)
 
 
 def _cube(node: Node, first: int, last: int) -> Array:
     """Return `first` matrices of equal numbers of rows and `last` columns."""
-    matrices = [item.matrix(last) for item in node.list()]
+    matrices = [item.matrix(last, -NUMBER_MAX, NUMBER_MAX) for item in node.list()]
     sizes = {len(item) for item in matrices}
     if len(matrices) != first or len(sizes) != 1 or 0 in sizes:
         node.refuse(f'{first} matrices of equal size')
     return np.stack(matrices)
 
 
-def _vector(node: Node, size: int) -> Array:
-    values = node.vector()
+def _vector(node: Node, size: int, low: float, high: float = NUMBER_MAX) -> Array:
+    values = node.vector(low, high)
     if len(values) != size:
         node.refuse(f'{size} numbers')
     return values
@@ -587,9 +648,7 @@ def _at_least(node: Node, values: Array, low: Array) -> Array:
 
 
 def _gain(node: Node, size: int) -> AxisGain:
-    value, variance = _vector(node.get('value'), size), _vector(node.get('variance'), size)
-    if not ((value >= GAIN_MIN) & (value <= GAIN_MAX)).all():
-        node.get('value').refuse(f'gains from {GAIN_MIN:g} to {GAIN_MAX:g}')
-    if not (variance >= 0.0).all():
-        node.get('variance').refuse('no negative variance')
-    return AxisGain(value, variance)
+    return AxisGain(
+        _vector(node.get('value'), size, GAIN_MIN, GAIN_MAX),
+        _vector(node.get('variance'), size, 0.0),
+    )

@@ -18,9 +18,11 @@ from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array, Seed, check_matrix
 from fuzzycnc_ros.core.deformation.features import (
     check_process_values,
+    direction_doubts,
     feature_set,
+    folded_samples,
+    lapped,
     load,
-    looks_like_radians,
 )
 from fuzzycnc_ros.core.deformation.model import (
     SUPPORT_QUANTILE,
@@ -404,7 +406,8 @@ class TSFuzzyNetwork(RegressionEstimator):
         x : array_like, shape (k, 5)
             Process values: direction [deg], depth [mm], type, step [mm], thickness [mm].
         s : array_like, shape (k, r)
-            Compensations that were needed [mm per 50 mm].
+            Compensations that were needed [mm per 50 mm]; those of a direction and of its
+            opposite have opposite signs.
         groups : array_like of int, shape (k,), optional
             Sheet of each sample: samples of one sheet are never on both sides of a comparison.
             Left out, samples with equal process values belong together.
@@ -422,18 +425,17 @@ class TSFuzzyNetwork(RegressionEstimator):
         self._check_parameters()
         rows = check_process_values(x)
         target = check_matrix(s, 's')
+        if len(target) == len(rows):
+            rows, target = folded_samples(rows, target)
         group = equal_rows(rows) if groups is None else np.asarray(groups)
         if len(target) != len(rows) or group.shape != (len(rows),):
             raise ValueError(
                 f's, groups: expected one per row of x ({len(rows)}), but found {len(target)} '
                 f'and {group.shape}'
             )
-        problems = []
-        if looks_like_radians(rows, target):
-            problems.append(
-                'the compensations follow the directions as radians; they are taken as degrees: '
-                'multiply them by 57.29578 if they are radians'
-            )
+        problems = list(direction_doubts(rows, target))
+        given, (taken, rows, sign) = len(rows), lapped(rows)
+        group, target = group[taken], target[taken] * sign[:, np.newaxis]
         features = feature_set(self.features)
         inputs = features.rows(rows)
         varies = np.ptp(inputs, axis=0) > 0.0
@@ -453,13 +455,13 @@ class TSFuzzyNetwork(RegressionEstimator):
         problems += rules.problems
         count = len(network.antecedent.center)
         advised = 3 * (len(columns) + target.shape[1] + 1) * count
-        if len(rows) < advised:
-            problems.append(f'{len(rows)} samples, {advised} are advised for {count} rules')
+        if given < advised:
+            problems.append(f'{given} samples, {advised} are advised for {count} rules')
         self.ridge_ = ridge
         self.rule_values_ = rules.values
         self.problems_ = tuple(problems)
         support = network.antecedent.support(samples.inputs)
-        gate = Gate.of_training(rows, support, self.support_quantile)
+        gate = Gate.of_training(rows[:given], support[:given], self.support_quantile)
         gain = AxisGain.unit(target.shape[1])
         self.model_ = DeformationModel(self.features, columns, network, gate, gain)
         return self

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.document import parse_document
+from fuzzycnc_ros.core.document import Node, parse_document
 
 FORMAT = 'fuzzycnc stitch offsets'
 """What the file says it is."""
@@ -18,6 +18,9 @@ VERSION = 1
 
 OFFSETS_SIZE_MAX = 64 * 1024 * 1024
 """Largest document that is read [characters]; a stitch takes about 80."""
+
+SHEET_MAX = 100.0
+"""Largest coordinate, and largest offset, of a stitch [m]: no sheet is larger."""
 
 SAME_POINT = 1e-6
 """Nominal points that differ by no more are the same [m]."""
@@ -58,6 +61,10 @@ class StitchOffsets:
             return f'offsets of the pattern {self.path_id!r}, not of {path_id!r}'
         if material != self.material:
             return f'offsets for the material {self.material!r}, not for {material!r}'
+        return self.other_points(nominal)
+
+    def other_points(self, nominal: Array) -> str:
+        """Return how nominal points, shape (k + 1, 2) [m], differ; nothing if they do not."""
         if nominal.shape != self.nominal.shape:
             return f'offsets of {len(self.nominal)} points, not of {len(nominal)}'
         apart = np.hypot(*(nominal - self.nominal).T)
@@ -92,7 +99,11 @@ def read_offsets(text: str) -> StitchOffsets:
         If the text is too large, no JSON, of another format or version, or holds points that are
         not finite or not parallel.
     """
-    root = parse_document(text, 'offsets file', OFFSETS_SIZE_MAX)
+    return offsets_of(parse_document(text, 'offsets file', OFFSETS_SIZE_MAX))
+
+
+def offsets_of(root: Node) -> StitchOffsets:
+    """Return the offsets of a parsed document; errors as `read_offsets`."""
     if root.get('format').text() != FORMAT:
         root.get('format').refuse(f'the format {FORMAT!r}')
     version = root.get('version')
@@ -101,7 +112,9 @@ def read_offsets(text: str) -> StitchOffsets:
     path_id = root.get('path_id')
     if not path_id.text():
         path_id.refuse('the name of a pattern')
-    nominal, offset = root.get('nominal').matrix(2), root.get('offset').matrix(2)
+    nominal, offset = (
+        root.get(name).matrix(2, -SHEET_MAX, SHEET_MAX) for name in ('nominal', 'offset')
+    )
     if len(nominal) < 2:
         root.get('nominal').refuse('two points or more')
     if len(offset) != len(nominal):

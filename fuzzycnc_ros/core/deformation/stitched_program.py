@@ -17,7 +17,12 @@ from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Role
 from fuzzycnc_ros.core.feedrate.gcode.lexer import read_line
 from fuzzycnc_ros.core.feedrate.gcode.modal import CUTTER, INCH, LENGTH_UNIT, MILLIMETRE
 from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader
-from fuzzycnc_ros.core.feedrate.gcode.segments import ArcSegment, LineSegment, ProgramError
+from fuzzycnc_ros.core.feedrate.gcode.segments import (
+    ArcSegment,
+    LineSegment,
+    ProgramError,
+    UnplacedSegment,
+)
 
 SAME_PLACE = 1e-9
 """Distance below which nothing moves, and below which an offset is none [m]."""
@@ -194,7 +199,8 @@ class StitchedProgram:
                 elif code in CUTTER or code == 400:
                     self._cutter = code != 400
         segment = block.segment
-        if segment is None or segment.rapid or not _travels(block):
+        passed = segment is None or segment.rapid or isinstance(segment, UnplacedSegment)
+        if segment is None or passed or not _travels(block):
             self._open = self._open and not _travels(block)
             self._entries.append(_Entry(block, self._unit))
             return
@@ -240,7 +246,7 @@ class StitchedProgram:
             raise ProgramError(
                 block.line,
                 f'expected a block of at least the stitch step of {1e3 * self._step:g} mm but '
-                f'found {1e3 * length:.3f} mm; join short blocks, or give a shorter --step',
+                f'found {1e3 * length:.3f} mm; join short blocks, or take a shorter step',
             )
         points = segment.points(max(round(length / self._step), 1))[:, :2]
         if self._size is not None:
@@ -258,7 +264,7 @@ class StitchedProgram:
 def _travels(block: Block) -> bool:
     """Return whether a block moves X or Y, or may do so."""
     segment = block.segment
-    if segment is None:
+    if segment is None or isinstance(segment, UnplacedSegment):
         return block.role in (Role.RAPID, Role.KEPT, Role.SEALED)
     if not all(np.isfinite([*segment.start, *segment.end])):
         return False  # a wait in a place that is not known

@@ -293,8 +293,8 @@ def levenberg_marquardt(
 
 
 def equal_rows(inputs: Array) -> NDArray[np.int64]:
-    """Return a group number for each row, (k,); equal rows have the same."""
-    _, group = np.unique(inputs, axis=0, return_inverse=True)
+    """Return a group number for each row, (k,); rows that are equal but for rounding have one."""
+    _, group = np.unique(np.round(inputs, 9), axis=0, return_inverse=True)
     return np.asarray(group.ravel(), dtype=np.int64)
 
 

@@ -4,14 +4,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import isfinite
 
 import numpy as np
 
-from fuzzycnc_ros.core.identify.axis_fit import AxisFit, AxisRecording
-from fuzzycnc_ros.core.identify.frequency import FrequencyResponse
+from fuzzycnc_ros.core.identify.axis_fit import AxisFit, AxisRecording, fit_axis
+from fuzzycnc_ros.core.identify.frequency import FrequencyResponse, frequency_response
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData
 
@@ -36,6 +36,33 @@ def identified_dead_time(fit: AxisFit, response: FrequencyResponse) -> tuple[flo
     if _told(fit, 'delay'):
         return fit.model.delay + fit.model.drive_lag, 'output error'
     return 0.0, ''
+
+
+def identify_axis(
+    recordings: Sequence[AxisRecording],
+    *,
+    force: float | None = None,
+    direction: float = 1.0,
+    before: AxisData | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> tuple[AxisFit, FrequencyResponse, AxisData]:
+    """Return the fit of an axis, its frequency response, and its machine data.
+
+    Parameters
+    ----------
+    recordings : sequence of AxisRecording
+        Stretches with commands as duties.
+    force, direction, before
+        As of `identified_axis`.
+    progress : callable, optional
+        Told what is fitted, how many fits are done, and how many there are.
+    """
+    fit = fit_axis(recordings, progress)
+    response = frequency_response(recordings, fit.model.gain)
+    data = identified_axis(
+        fit, response, recordings, force=force, direction=direction, before=before
+    )
+    return fit, response, data
 
 
 def identified_axis(

@@ -394,7 +394,7 @@ def _inverse_dynamics(recordings: Sequence[AxisRecording]) -> AxisModel:
     if gain <= 0.0:
         raise ValueError(
             'command: expected a positive command to drive to positive positions but found the '
-            'opposite, or no relation; turn the sign of one column (--reversed), or choose another'
+            'opposite, or no relation; turn the sign of one of them, or choose another'
         )
     viscous, coulomb = max(viscous, 1e-3), max(coulomb, 0.0)
     return AxisModel(

@@ -177,6 +177,14 @@ class OffsetInput:
         return OffsetStatus.FOLLOWING if self._in_force else OffsetStatus.EXPIRED
 
     @property
+    def released(self) -> bool:
+        """True after the expiry of a command that asked for no offset, which changed nothing."""
+        command = self._newest
+        if self.status is not OffsetStatus.EXPIRED or command is None or self._withdrawal:
+            return False
+        return not (command.offset.any() or command.slope.any() or self._applied.any())
+
+    @property
     def reason(self) -> str:
         """Why a command was refused, cut or is no longer followed; empty if all is well."""
         if self._refusal or self._withdrawal:

@@ -258,6 +258,109 @@ def held_out_deviation(residual: Array) -> Array:
     return np.maximum(rms, np.array(quantile) / WIDTH)
 
 
+def independent_residuals(residual: Array, deviation: Array) -> Array:
+    """Return how many independent residuals are as good as those of a run.
+
+    Residuals of a run follow each other: an error that lasts for hours is one error, however
+    often it is measured.  The number of samples is divided by the integrated autocorrelation time
+    [geyer1992] of residual over deviation.  Their mean is not taken off: a constant error counts
+    as one.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (n, c)
+        Residuals of one run [m]; NaN where nothing was measured.
+    deviation : ndarray, shape (n, c)
+        Standard deviation that was predicted [m].
+
+    Returns
+    -------
+    ndarray, shape (c,)
+        From 1 to the number of measured samples [-]; 0 if there are none.
+
+    References
+    ----------
+    [geyer1992]
+    """
+    found = []
+    for column, spread in zip(residual.T, deviation.T, strict=True):
+        measured = ~np.isnan(column)
+        # What diverged, or has no band, is far outside of it and not infinitely so.
+        floor = np.maximum(spread[measured], RESIDUAL_MIN)
+        found.append(_effective_number(np.clip(column[measured] / floor, -1e3, 1e3)))
+    return np.array(found)
+
+
+def _effective_number(values: Array) -> float:
+    """Return the number of values over their autocorrelation time."""
+    count = len(values)
+    square = float(values @ values)
+    if count < 2 or square == 0.0:
+        return float(count)
+    spectrum = np.fft.rfft(values, 2 * count)
+    correlation = np.fft.irfft(spectrum * spectrum.conj(), 2 * count)[:count] / square
+    pairs = correlation[: count - count % 2].reshape(-1, 2).sum(axis=1)
+    # Sums of neighbouring lags are positive as long as they are more than noise.
+    ends = np.flatnonzero(pairs <= 0.0)
+    time = 2.0 * float(pairs[: ends[0] if len(ends) else len(pairs)].sum()) - 1.0
+    return float(np.clip(count / max(time, 1.0), 1.0, count))
+
+
+COVERED_LEAST = 0.9
+"""Share of the residuals below which a band may be far from holding 95 % [-]: twice as many are
+outside as should be."""
+
+FALSE_BAND_CHANCE = 0.05
+"""Probability of so many residuals outside of a true band, up to which it counts as false [-]."""
+
+
+def band_ratio(residual: Array, deviation: Array) -> Array:
+    """Return the root mean square of residuals over their predicted deviation, (c,) [-].
+
+    Parameters
+    ----------
+    residual, deviation : ndarray, shape (n, c)
+        As in `independent_residuals`.
+    """
+    floor = np.maximum(deviation, RESIDUAL_MIN)
+    return np.asarray(np.sqrt(mean_of_square(np.clip(residual / floor, -1e3, 1e3))))
+
+
+def is_false_band(covered: float, ratio: float, independent: float, runs: int = 1) -> bool:
+    """Return whether a band holds so little that chance does not explain it.
+
+    So it is where less than 90 % of the residuals lie inside, and as many of the independent ones
+    would be outside of a band of 95 % (binomial), or as large (chi-squared), with a probability of
+    at most 5 %, shared among the runs that are looked at (Bonferroni).
+
+    Parameters
+    ----------
+    covered : float
+        Share of the residuals inside the band [-]; NaN if there are none.
+    ratio : float
+        Root mean square of the residuals over the deviation [-], see `band_ratio`.
+    independent : float
+        How many independent residuals they are as good as [-].
+    runs : int
+        Number of runs that are judged, each by itself.
+
+    Examples
+    --------
+    >>> is_false_band(0.14, 2.1, 3.0), is_false_band(0.6, 3.0, 1.0), is_false_band(0.88, 1.1, 20.0)
+    (True, True, False)
+    """
+    if not covered < COVERED_LEAST:
+        return False
+    # Here, since what only predicts does without: a node starts sooner.
+    from scipy.special import bdtrc, chdtrc
+
+    count = max(1, round(independent))
+    outside = round(count * (1.0 - covered))
+    number = float(bdtrc(outside - 1, count, 1.0 - COVERED)) if outside else 1.0
+    size = float(chdtrc(independent, independent * ratio**2))
+    return min(number, size) * runs <= FALSE_BAND_CHANCE * (1.0 + 1e-9)
+
+
 def coverage(residual: Array, deviation: Array) -> Array:
     """Return the share of residuals within two standard deviations.
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.arrays import LENGTH_MIN, NUMBER_MAX, Array, check_bounds, check_shapes
 from fuzzycnc_ros.core.document import Node
 from fuzzycnc_ros.core.thermal.run import ThermalRun
 
@@ -40,12 +40,9 @@ class ColdStart:
     tolerance: Array
 
     def __post_init__(self) -> None:
-        """Refuse tolerances that are not positive."""
-        if self.tolerance.shape != self.pattern.shape or not (self.tolerance > 0.0).all():
-            raise ValueError(
-                f'tolerance: expected {len(self.pattern)} positive numbers, but found '
-                f'{self.tolerance}'
-            )
+        """Refuse tolerances that are no lengths, and numbers beyond all temperatures."""
+        check_shapes(self, tolerance=self.pattern.shape)
+        check_bounds(self, pattern=(-NUMBER_MAX, NUMBER_MAX), tolerance=(LENGTH_MIN, NUMBER_MAX))
 
     @staticmethod
     def of(runs: Sequence[ThermalRun], inputs: Sequence[str]) -> 'ColdStart':
@@ -88,4 +85,5 @@ class ColdStart:
         ModelFileError
             If a value is missing or of another type.
         """
-        return cls(node.get('pattern').vector(), node.get('tolerance').vector())
+        with node.named():
+            return cls(node.get('pattern').vector(), node.get('tolerance').vector())

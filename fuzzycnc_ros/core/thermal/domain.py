@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core import portable
-from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.arrays import LENGTH_MIN, NUMBER_MAX, Array, check_bounds
 from fuzzycnc_ros.core.thermal.moments import Fold
 
 DOMAIN_QUANTILE = 0.95
@@ -57,19 +57,26 @@ class Domain:
     drive: Array = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
-        """Refuse numbers that would put every sample into the domain, or none."""
+        """Refuse numbers that would put every sample into the domain, or none.
+
+        Raises
+        ------
+        ValueError
+            The message names the number and its bounds.
+        """
         if self.directions.shape != (len(self.reach), len(self.mean)):
             raise ValueError(
                 f'directions: expected {len(self.reach)} rows of {len(self.mean)}, but found '
                 f'shape {self.directions.shape}'
             )
-        if not (self.reach > 0.0).all() or not self.thickness > 0.0:
-            raise ValueError(
-                f'domain: expected positive lengths, but found a reach of {self.reach} and a '
-                f'thickness of {self.thickness}; train the model anew'
-            )
-        if not (self.drive >= 0.0).all():
-            raise ValueError(f'drive: expected 0 or more, but found {self.drive}')
+        check_bounds(
+            self,
+            mean=(-NUMBER_MAX, NUMBER_MAX),
+            directions=(-NUMBER_MAX, NUMBER_MAX),
+            reach=(LENGTH_MIN, NUMBER_MAX),
+            thickness=(LENGTH_MIN, np.inf),
+            drive=(0.0, NUMBER_MAX),
+        )
 
     def scaled(self, along: float, across: float) -> 'Domain':
         """Return the domain whose border lies at other multiples of reach and thickness."""
@@ -101,7 +108,9 @@ class Domain:
         distance = np.maximum(*self.parts(samples[..., :inputs]))
         if samples.shape[-1] == inputs or not len(self.drive):
             return np.asarray(distance)
-        ratio = samples[..., inputs:] / np.where(self.drive > 0.0, self.drive, np.inf)
+        # A driver that was only ever noise says nothing of what it was trained on.
+        trained_on = np.where(self.drive > LENGTH_MIN, self.drive, np.inf)
+        ratio = samples[..., inputs:] / trained_on
         return np.asarray(np.maximum(distance, ratio.max(axis=-1)))
 
 
@@ -148,9 +157,10 @@ def trained_domain(
             _limit(own[number]),
             _limit(np.concatenate([item[number][item[2]] for item in apart])),
         )
-        or 1.0  # nothing lies off the directions where they span everything
         for number in range(2)
     ]
+    # Nothing but rounding lies off the directions where they span everything.
+    limits = [limit if limit * RISE_NOISE > LENGTH_MIN else 1.0 for limit in limits]
     distance = [np.maximum(item[0] / limits[0], item[1] / limits[1]) for item in apart]
     largest = np.asarray(drive[trained].max(axis=0))
     return replace(domain.scaled(*limits), drive=largest), distance

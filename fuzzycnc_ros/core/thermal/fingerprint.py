@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core.arrays import NUMBER_MAX
 from fuzzycnc_ros.core.document import Node
 from fuzzycnc_ros.core.thermal.run import ThermalRun
 
@@ -132,8 +133,8 @@ class Fingerprint:
         """
         return cls(
             run=node.get('run').text(),
-            start=node.get('start').number(),
-            stop=node.get('stop').number(),
+            start=node.get('start').number(-NUMBER_MAX, NUMBER_MAX),
+            stop=node.get('stop').number(-NUMBER_MAX, NUMBER_MAX),
             sensor=node.get('sensor').texts(),
             channel=node.get('channel').texts(),
             hashes=node.get('hashes').texts(),

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core import portable
-from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.arrays import LENGTH_MIN, NUMBER_MAX, Array
 from fuzzycnc_ros.core.document import ModelFileError, Node, parse_document
 from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.core.thermal.band import Band
@@ -31,6 +31,10 @@ from fuzzycnc_ros.core.thermal.cold_start import ColdStart
 from fuzzycnc_ros.core.thermal.domain import Domain
 from fuzzycnc_ros.core.thermal.fingerprint import Fingerprint
 from fuzzycnc_ros.core.thermal.recursions.base import (
+    BOUND_MAX,
+    BOUND_MIN,
+    INTERVAL_MAX,
+    INTERVAL_MIN,
     BoundedRecursion,
     Recursion,
     Stream,
@@ -566,6 +570,18 @@ NOT_KEPT = 'a model that is only compared; `fuzzycnc compare` fits it'
 UNITS = {'time': 's', 'rise': 'K', 'displacement': 'm'}
 """Units of the numbers in a model file."""
 
+DEVIATION_MAX = 1.0
+"""Largest standard deviation of a held-out residual [m]."""
+
+GROWTH_MAX = 100.0
+"""Largest growth of a band [-]; see `Band`."""
+
+GAIN_MAX = 1e4
+"""Largest rise of a sensor in rises of the one that stands in for it [-]."""
+
+SCORE_ROUNDING = 1e-6
+"""Excess over their range that scores and correlations have from rounding [-]."""
+
 SIZE_MAX = 16 * 1024 * 1024
 """Largest model file that is read [characters]; 76 inputs with all candidates take 3.6 million."""
 
@@ -714,7 +730,7 @@ def _fields(root: Node) -> dict[str, Any]:
     width = len(inputs) + len(drivers)
     return dict(
         inputs=inputs,
-        interval=root.get('interval').number(),
+        interval=root.get('interval').number(INTERVAL_MIN, INTERVAL_MAX),
         channel=tuple(node.get('name').text() for node in channels),
         axis=tuple(node.get('axis').text() for node in channels),
         runs=root.get('training_runs').texts(),
@@ -725,8 +741,10 @@ def _fields(root: Node) -> dict[str, Any]:
             root.get('domain'), len(inputs), first
         ),
         band=Band(
-            np.array([_positive(node.get('residual_deviation')) for node in channels]),
-            GROWTH_BEFORE if version < 3 else _positive(root.get('band_growth')),
+            np.array(
+                [node.get('residual_deviation').number(0.0, DEVIATION_MAX) for node in channels]
+            ),
+            GROWTH_BEFORE if version < 3 else root.get('band_growth').number(0.0, GROWTH_MAX),
         ),
         drivers=drivers,
         bound=_read_bound(channels, first),
@@ -743,30 +761,33 @@ def _fields(root: Node) -> dict[str, Any]:
 
 def _read_domain(node: Node, inputs: int, first: bool) -> Domain:
     thickness = node.get('thickness')
-    return Domain(
-        mean=node.get('mean').vector(),
-        directions=node.get('directions').matrix(inputs),
-        reach=node.get('reach').vector(),
-        thickness=inf if thickness.value is None else thickness.number(),
-        drive=np.empty(0) if first else node.get('drive').vector(),
-    )
+    with node.named():
+        return Domain(
+            mean=node.get('mean').vector(),
+            directions=node.get('directions').matrix(inputs),
+            reach=node.get('reach').vector(),
+            thickness=inf if thickness.value is None else thickness.number(),
+            drive=np.empty(0) if first else node.get('drive').vector(),
+        )
 
 
 def _read_ellipsoid(node: Node, inputs: int, first: bool) -> Domain:
     """Return the domain of an earlier version, which has the border in every direction."""
-    inverse = node.get('inverse_covariance').matrix(inputs)
+    inverse = node.get('inverse_covariance').matrix(inputs, -NUMBER_MAX, NUMBER_MAX)
     if inverse.shape != (inputs, inputs):
         node.get('inverse_covariance').refuse(f'{inputs} rows')
     curvature, directions = portable.eigh(0.5 * (inverse + inverse.T))
     if not (curvature > 0.0).all():
         node.get('inverse_covariance').refuse('a positive definite matrix')
-    return Domain(
-        mean=node.get('mean').vector(),
-        directions=directions.T,
-        reach=node.get('limit').number() / np.sqrt(curvature),
-        thickness=inf,
-        drive=np.empty(0) if first else node.get('drive').vector(),
-    )
+    limit = node.get('limit').number(LENGTH_MIN, NUMBER_MAX)
+    with node.named():
+        return Domain(
+            mean=node.get('mean').vector(),
+            directions=directions.T,
+            reach=limit / np.sqrt(curvature),
+            thickness=inf,
+            drive=np.empty(0) if first else node.get('drive').vector(),
+        )
 
 
 def _read_start(node: Node) -> ColdStart | None:
@@ -781,14 +802,7 @@ def _read_bound(channels: Sequence[Node], first: bool) -> Array | None:
     nodes = [] if first else [node.get('bound') for node in channels]
     if all(node.value is None for node in nodes):
         return None
-    return np.array([node.number() for node in nodes])
-
-
-def _positive(node: Node) -> float:
-    value = node.number()
-    if value < 0.0:
-        node.refuse('a number of 0 or more')
-    return value
+    return np.array([node.number(BOUND_MIN, BOUND_MAX) for node in nodes])
 
 
 def _read_default(node: Node) -> str:
@@ -803,7 +817,7 @@ def _read_candidate(name: str, node: Node, inputs: int) -> Candidate:
     recursion = read_recursion(node.get('recursion'), inputs)
     unknown = np.full(recursion.channels, np.nan)
     scores = {
-        field: unknown if node.get(field).value is None else node.get(field).numbers_or_infinite()
+        field: unknown if node.get(field).value is None else node.get(field).sizes_or_infinite()
         for field in ('held_out_rms', 'held_out_max')
     }
     for score, values in scores.items():
@@ -844,8 +858,8 @@ def _read_selection(node: Node) -> SensorSelection:
     return SensorSelection(
         method=node.get('method').text(),
         clusters=tuple(_read_cluster(item) for item in node.get('clusters').list()),
-        partition_coefficient=node.get('partition_coefficient').number(),
-        xie_beni=float('nan') if index.value is None else index.number(),
+        partition_coefficient=node.get('partition_coefficient').number(0.0, 1.0 + SCORE_ROUNDING),
+        xie_beni=float('nan') if index.value is None else index.number(0.0),
         dropped=node.get('dropped').texts(),
         calibration=node.get('calibration').texts(),
     )
@@ -854,11 +868,11 @@ def _read_selection(node: Node) -> SensorSelection:
 def _read_cluster(node: Node) -> SensorCluster:
     cluster = SensorCluster(
         member=node.get('member').texts(),
-        score=node.get('score').numbers(),
+        score=node.get('score').numbers(-SCORE_ROUNDING, 1.0 + SCORE_ROUNDING),
         chosen=node.get('chosen').text(),
         substitute=node.get('substitute').texts(),
-        gain=node.get('gain').numbers(),
-        correlation=node.get('correlation').numbers(),
+        gain=node.get('gain').numbers(-GAIN_MAX, GAIN_MAX),
+        correlation=node.get('correlation').numbers(-1.0 - SCORE_ROUNDING, 1.0 + SCORE_ROUNDING),
     )
     lengths: Mapping[str, tuple[int, int]] = {
         'score': (len(cluster.score), len(cluster.member)),

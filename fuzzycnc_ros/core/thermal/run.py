@@ -9,7 +9,7 @@ and what lies before the window warms up the lags, as it did on the machine.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import pi
+from math import ceil, floor, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.names import repeated_names
+from fuzzycnc_ros.core.remedies import RemediedError, Remedy
+from fuzzycnc_ros.core.thermal.sensor_limits import LIMIT_BOUNDS, USUAL, SensorLimits
 
 
 def _even_blocks(
@@ -187,7 +189,7 @@ REFERENCE_SAMPLES = 3
 """Number of first samples whose mean is the reference of a run, so that noise averages out."""
 
 
-class ThermalDataError(ValueError):
+class ThermalDataError(RemediedError):
     """A run or its samples cannot be used; the message says why and what to do."""
 
 
@@ -233,6 +235,8 @@ class ThermalRun:
         Thermal error, actual minus nominal [m]; NaN where nothing was probed.
     spindle_speed : array_like, shape (n,), optional
         Measured spindle speed [rad/s]; NaN where unknown, absent where it was not recorded.
+    limits : SensorLimits
+        Ranges and rates of sensors that are not those of a machine's metal.
 
     Raises
     ------
@@ -254,6 +258,7 @@ class ThermalRun:
     axis: tuple[str, ...]
     displacement: NDArray[np.float64]
     spindle_speed: NDArray[np.float64] | None = None
+    limits: SensorLimits = USUAL
 
     def __post_init__(self) -> None:
         """Take read-only copies and check them."""
@@ -440,15 +445,16 @@ class ThermalRun:
         if not refused[gap]:
             return
         settled = float(self.time[gap + 1]) + SETTLE_TIME
-        behind = (
-            f', or what comes {SETTLE_TIME / 3600.0:g} h behind it, --start {settled:.10g}'
-            if settled < self.time[-1] and steps[gap] <= HOLE_MAX
-            else ''
-        )
+        before = f'{self.time[gap]:.10g}'
+        remedies = [Remedy(f'use the part before it, up to {before} s', {'end': before})]
+        if settled < self.time[-1] and steps[gap] <= HOLE_MAX:
+            hours = f'{SETTLE_TIME / 3600.0:g} h'
+            words = f'use what comes {hours} behind it, from {settled:.10g} s'
+            remedies.append(Remedy(words, {'start': f'{settled:.10g}'}))
         raise ThermalDataError(
             f'run {self.name!r}: expected gaps of at most {longest:g} s, but found '
-            f'{steps[gap]:.6g} s after sample {gap}; use the part before it, --end '
-            f'{self.time[gap]:.10g}{behind}'
+            f'{steps[gap]:.6g} s after sample {gap}',
+            *remedies,
         )
 
     def gaps(self) -> tuple[Gap, ...]:
@@ -555,14 +561,17 @@ def _check_time(run: ThermalRun) -> None:
 
 
 def _check_values(run: ThermalRun) -> None:
-    outside = (run.temperature < TEMPERATURE_MIN) | (run.temperature > TEMPERATURE_MAX)
+    low, high = temperature_range(run.limits, run.sensor)
+    outside = (run.temperature < low) | (run.temperature > high)
     if outside.any():
-        row, column = np.argwhere(outside)[0]
+        row, column = (int(index) for index in np.argwhere(outside)[0])
+        value = float(run.temperature[row, column])
         raise ThermalDataError(
-            f'run {run.name!r}: expected temperatures within {TEMPERATURE_MIN:g} and '
-            f'{TEMPERATURE_MAX:g} degC, but found {run.temperature[row, column]:g} of sensor '
-            f'{run.sensor[column]!r} at sample {row}; check its unit, mark the reading as NaN, or '
-            f'leave the sensor out: --drop-sensor {run.sensor[column]}'
+            f'run {run.name!r}: expected temperatures within {low[column]:g} and '
+            f'{high[column]:g} degC, but found {value:g} of sensor '
+            f'{run.sensor[column]!r} at sample {row}; check its unit and mark the reading as NaN',
+            without_sensors(run.sensor[column]),
+            *within_range(run.sensor[column], value, too_hot=value > high[column]),
         )
     far = np.abs(run.displacement) > DISPLACEMENT_MAX
     if far.any():
@@ -579,6 +588,30 @@ def _check_values(run: ThermalRun) -> None:
                 f'run {run.name!r}: expected a spindle speed of at most {SPINDLE_SPEED_MAX:g} '
                 f'rad/s, but found {fastest:g} rad/s; check whether it is in rpm'
             )
+
+
+def temperature_range(limits: SensorLimits, sensors: Sequence[str]) -> tuple[Array, Array]:
+    """Return the lowest and the highest plausible temperature of each sensor [degC]."""
+    return (
+        limits.values('range_low', sensors, TEMPERATURE_MIN),
+        limits.values('range_high', sensors, TEMPERATURE_MAX),
+    )
+
+
+def within_range(sensor: str, value: float, *, too_hot: bool) -> list[Remedy]:
+    """Return the remedy to take a temperature [degC] of a sensor for plausible, if it can be."""
+    low, high = LIMIT_BOUNDS['range_high']
+    if not low <= value <= high:
+        return []
+    limit = 'range_high' if too_hot else 'range_low'
+    words = f'if {sensor} gets so {"hot" if too_hot else "cold"}, give it limits of its own'
+    rounded = ceil(value / 10.0) * 10 if too_hot else floor(value / 10.0) * 10
+    return [Remedy(words, {'sensor_limits': f'{sensor}:{limit}:{rounded}'})]
+
+
+def without_sensors(*names: str) -> Remedy:
+    """Return the remedy to do without some sensors."""
+    return Remedy(f'leave {", ".join(names)} out', {'drop_sensor': ','.join(names)})
 
 
 def counted(run: ThermalRun, start: float | None = None, stop: float | None = None) -> ThermalRun:

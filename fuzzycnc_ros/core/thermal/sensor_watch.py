@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core import portable
-from fuzzycnc_ros.core.arrays import Array, check_shapes
+from fuzzycnc_ros.core.arrays import LENGTH_MIN, NUMBER_MAX, Array, check_bounds, check_shapes
 from fuzzycnc_ros.core.document import Node
 
 
@@ -108,6 +108,24 @@ Indices = NDArray[np.int64]
 def moment_of(rise: Array) -> Array:
     """Return the sums of products of rises (n, s) [K], shape (s, s) [K^2]."""
     return np.asarray(portable.matmul(rise.T, rise))
+
+
+MOMENT_MIN = 1e-9
+"""Least mean square of a sensor that rose at all [K^2]."""
+
+MOMENT_ROUNDING = 1e-6
+"""Excess that moments have from being rounded in a file [K^2]."""
+
+
+def _is_moment(moment: Array) -> bool:
+    """Return whether a matrix can hold mean products of rises; see `MATE_RIDGE`, its tolerance."""
+    square = np.diag(moment)
+    if (moment != moment.T).any() or not ((square == 0.0) | (square >= MOMENT_MIN)).all():
+        return False
+    scale = _scale_of(moment)
+    alike = moment / np.outer(scale, scale)
+    rounding = len(moment) * MOMENT_ROUNDING / float((scale**2).min(initial=1.0))
+    return bool(np.linalg.eigvalsh(alike).min(initial=0.0) > -0.5 * MATE_RIDGE - rounding)
 
 
 def _scale_of(moment: Array) -> Array:
@@ -298,15 +316,18 @@ class SensorWatchModel:
                 f'{", ".join(unknown)}'
             )
         check_shapes(self, moment=(size, size), missed=(inputs,), leverage=(inputs,))
-        if (self.moment != self.moment.T).any() or (np.diag(self.moment) < 0.0).any():
+        check_bounds(
+            self,
+            moment=(-NUMBER_MAX, NUMBER_MAX),
+            missed=(0.0, NUMBER_MAX),
+            leverage=(0.0, NUMBER_MAX),
+        )
+        if not _is_moment(self.moment):
             raise ValueError(
-                'moment: expected a symmetric matrix with a diagonal of 0 or more, but found '
+                'moment: expected mean products of rises, a symmetric matrix without negative '
+                f'eigenvalues whose diagonal is 0 or at least {MOMENT_MIN:g} K^2, but found '
                 'another; train the model anew'
             )
-        if (self.missed < 0.0).any():
-            raise ValueError(f'missed: expected 0 K or more, but found {self.missed}')
-        if (self.leverage < 0.0).any():
-            raise ValueError(f'leverage: expected 0 or more, but found {self.leverage}')
 
     @property
     def columns(self) -> Indices:
@@ -341,13 +362,14 @@ class SensorWatchModel:
             node.get('moment').refuse(f'{size * (size + 1) // 2} numbers')
         moment = np.zeros((size, size))
         moment[np.tril_indices(size)] = lower
-        return cls(
-            sensor=sensor,
-            input=node.get('input').texts(),
-            moment=moment + np.tril(moment, -1).T,
-            missed=node.get('missed').vector(),
-            leverage=node.get('leverage').vector(),
-        )
+        with node.named():
+            return cls(
+                sensor=sensor,
+                input=node.get('input').texts(),
+                moment=moment + np.tril(moment, -1).T,
+                missed=node.get('missed').vector(),
+                leverage=node.get('leverage').vector(),
+            )
 
 
 class SensorWatch:
@@ -399,7 +421,7 @@ class SensorWatch:
         self.limit: Array = np.maximum(limit, tolerance * model.missed)
         """What the mates may agree to miss of each input near the training, shape (p,) [K]."""
         # Where training saw no distance there are no mates, and so nothing to be far from.
-        self._farthest = np.where(model.leverage > 0.0, model.leverage, np.inf)
+        self._farthest = np.where(model.leverage > LENGTH_MIN, model.leverage, np.inf)
         self._persistence = persistence
         self._faulty_max = max(1, len(model.input) // 2)
         inputs = len(model.input)

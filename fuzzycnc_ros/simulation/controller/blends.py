@@ -9,18 +9,19 @@ where that would be slower one move starts while the last one ends.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import cmath
+from dataclasses import dataclass, replace
+from math import acos, cos, hypot, inf, isnan, pi, sin, sqrt, tan
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.simulation.controller.moves import Moves
 
 TANGENTIAL = 0.5
 """Share of the acceleration that is kept for the speed while the path bends [-]."""
-_NORMAL = float(np.sqrt(1.0 - TANGENTIAL**2))
+NORMAL = sqrt(1.0 - TANGENTIAL**2)
 """Share of the acceleration that bends get [-]."""
 _KINK = 0.1
 """Share of the acceleration that an unrounded kink may take in one period [-]."""
@@ -28,14 +29,22 @@ _MOST_LENGTH = 0.5
 """Share of a move that a blend may take at either end [-]."""
 _MOST_ROUNDING = 0.25
 """Share of the length of a move by which a corner of it is rounded at most [-]."""
-GAP = 4
+_GAP = 4
 """Periods below which the rest of a line before a blend is run at the blend's speed."""
-_REVERSED = np.pi * 2.0 / 180.0
+_REVERSED = pi * 2.0 / 180.0
 """Turn short of a reversal below which a corner is always a stop [rad]."""
 _SHORTEST = 1e-9
 """Shortest blend [m]."""
+_STRAIGHT = 2e-6
+"""Turn below which two moves have no plane [rad]."""
+_FLAT = 1e-6
+"""Most way along its axis of an arc that may be cut short by a blend [m]."""
+_NARROWEST = pi / 12.0
+"""Half of the angle between two arcs below which no blend is looked for [rad]."""
+_PERIODS_LEAST = 1.02
+"""Periods that a move takes at least, by look-ahead."""
 
-STOP, TANGENT, ARC, OVERLAP = range(4)
+STOP, TANGENT, OVERLAP = range(3)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,56 +84,105 @@ class ControllerLimits:
                 raise ValueError(f'{name}: expected more than 0 but found {getattr(self, name)}')
 
 
-@dataclass(frozen=True, eq=False)
-class MoveLimits:
-    """Speed and acceleration of n moves: what the axes allow, the feed, and the lesser speed.
+class BlendArc:
+    """An arc that rounds a corner, in the plane of its two tangents.
+
+    Points are complex numbers: the corner is 0, the tangent before it 1.
 
     Attributes
     ----------
-    most, speed, acceleration : ndarray, shape (n,)
-        Speed that the axes allow, that with the feed [m/s], and acceleration [m/s^2].
+    corner : int
+        Index of the move before the corner.
+    centre, start, end : complex
+        Its centre, and where it begins and ends, from there [m].
+    radius, angle : float
+        [m, rad]
+    line : float or None
+        What is left of the line before it and run with it [m]; None if that is run alone.
     """
 
-    most: Array
-    speed: Array
-    acceleration: Array
+    __slots__ = ('angle', 'centre', 'corner', 'end', 'line', 'radius', 'start')
+
+    def __init__(self, corner: int, centre: complex, start: complex, end: complex) -> None:
+        self.corner, self.centre = corner, centre
+        self.start, self.end = start - centre, end - centre
+        self.radius = abs(self.start)
+        self.angle = 0.0
+        self.line: float | None = None
+        if self.radius > 0.0 and self.end:
+            self.angle = abs(cmath.phase(self.end / self.start))
+
+    @property
+    def length(self) -> float:
+        """The way from its beginning to its end [m]."""
+        return self.radius * self.angle + (self.line or 0.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Junctions:
-    """The ends of n moves; the last one is a stop.
+class PlannedPart:
+    """A move or a blend as the planner runs it.
 
     Attributes
     ----------
-    kind : ndarray of int, shape (n,)
-        `STOP`, `TANGENT`, `ARC` or `OVERLAP`.
-    speed : ndarray, shape (n,)
-        Speed at the end where it is tangent, of the blend where there is one, at which the next
-        move starts where they overlap [m/s].
-    trim : ndarray, shape (n,)
-        Way that a blend takes of both moves [m].
-    acceleration : ndarray, shape (n,)
-        Of blends [m/s^2].
-    kink : ndarray, shape (n,)
-        Share of both moves' acceleration that a kink takes [-].
-    turn : ndarray, shape (n,)
-        Change of direction [rad].
+    move : int
+        Index of the move; of a blend, of the one before it.
+    blend : BlendArc or None
+        Of blends.
+    low, high : float
+        Shares of the move between which it runs [-].
+    length, nominal : float
+        Way, and that before any blend took some [m].
+    feed, most, final : float
+        Speed asked for, speed at most, and speed at its end at most [m/s].
+    rise : float
+        Acceleration along the path [m/s^2].
+    end : int
+        `STOP`, `TANGENT` or `OVERLAP`.
+    rapid : bool
+        Whether it is a rapid.
     """
 
-    kind: NDArray[np.intp]
-    speed: Array
-    trim: Array
-    acceleration: Array
-    kink: Array
-    turn: Array
+    __slots__ = (
+        'arc_share', 'blend', 'cycle', 'end', 'feed', 'final', 'gain', 'high', 'kink', 'kink_in',
+        'kink_out', 'length', 'low', 'most', 'move', 'nominal', 'on_brake', 'overlapped',
+        'overlapping', 'overlaps', 'progress', 'ramp', 'rapid', 'rise', 'speed', 'split',
+        'term_speed', 'tolerance', 'top',
+    )  # fmt: skip
+
+    def __init__(
+        self, move: int, length: float, feed: float, most: float, rise: float, period: float
+    ) -> None:
+        self.move, self.length, self.nominal = move, length, length
+        self.feed, self.most, self.rise = feed, min(most, length / period), rise
+        self.blend: BlendArc | None = None
+        self.low, self.high, self.final = 0.0, 1.0, 0.0
+        self.end, self.rapid, self.overlapped = OVERLAP, False, False
+        self.kink, self.kink_in, self.kink_out = -1.0, 0.0, 0.0
+        self.arc_share, self.tolerance, self.gain = 1.0, inf, 0.0
+        # what happens while it runs
+        self.progress, self.speed, self.cycle, self.term_speed = 0.0, 0.0, period, 0.0
+        self.split, self.on_brake = False, False
+        self.ramp, self.overlapping, self.overlaps, self.top = False, False, 0.0, 0.0
+
+    def acceleration(self) -> float:
+        """Return what is left for the speed, beside kinks, overlaps and the bend [m/s^2]."""
+        return self.plain_acceleration() * self.arc_share
+
+    def plain_acceleration(self) -> float:
+        """Return what is left beside kinks and overlaps [m/s^2]."""
+        kink = self.kink_in if self.kink_in > self.kink_out else self.kink_out
+        half = 0.5 if self.overlapped or self.end == OVERLAP else 1.0
+        return self.rise * (1.0 - kink) * half
+
+    def asked(self) -> float:
+        """Return the speed that feed and axes let be [m/s]."""
+        return self.feed if self.feed < self.most else self.most
 
 
-def move_limits(moves: Moves, limits: ControllerLimits) -> MoveLimits:
-    """Return what speed and acceleration the axes allow in each move."""
+def move_limits(moves: Moves, limits: ControllerLimits) -> tuple[Array, Array]:
+    """Return what speed and acceleration the axes allow in each move [m/s, m/s^2]."""
     velocity, rise = np.array(limits.velocity), np.array(limits.acceleration)
     way = np.abs(moves.end - moves.start)
-    slowest = np.maximum((way / velocity).max(axis=1), moves.length / limits.path_velocity)
-    weakest = (way / rise).max(axis=1)
+    slowest, weakest = (way / velocity).max(axis=1), (way / rise).max(axis=1)
     bent = np.flatnonzero(moves.arc)
     if len(bent):
         # in the plane of an arc the lesser of both axes counts, all along
@@ -135,165 +193,407 @@ def move_limits(moves: Moves, limits: ControllerLimits) -> MoveLimits:
         height = np.linalg.norm(moves.rise[bent], axis=1)
         flat = np.sqrt(np.maximum(moves.length[bent] ** 2 - height**2, 0.0))
         radius = moves.radius()[bent] * np.minimum(1.0, 1.0 + moves.growth[bent])
-        pitch = height / moves.sweep[bent]
-        sharp = radius + pitch**2 / np.maximum(radius, 1e-12)
-        around = np.minimum(np.sqrt(_NORMAL * plain_rise * sharp), plain_speed)
+        around = np.minimum(np.sqrt(NORMAL * plain_rise * radius), plain_speed)
         slowest[bent] = np.maximum(slowest[bent], flat / around)
         weakest[bent] = np.maximum(weakest[bent], flat / plain_rise)
     with np.errstate(divide='ignore'):
-        most = moves.length / slowest
-        acceleration = moves.length / weakest
-    if len(bent):
-        # what the bend takes of the acceleration is not there for the speed
-        across = np.minimum(most[bent] ** 2 / sharp / acceleration[bent], _NORMAL)
-        most[bent] = np.minimum(most[bent], np.sqrt(_NORMAL * acceleration[bent] * sharp))
-        acceleration[bent] *= np.sqrt(1.0 - across**2)
-    return MoveLimits(most, np.minimum(most, moves.feed), acceleration)
+        return moves.length / slowest, moves.length / weakest
 
 
-def junctions(moves: Moves, own: MoveLimits, limits: ControllerLimits) -> Junctions:
-    """Return how each move passes into the next.
+class Plan:
+    """Moves from rest to rest, with the blends between them.
 
     Parameters
     ----------
     moves : Moves
         What the planner gets.
-    own : MoveLimits
-        Limits of the moves.
     limits : ControllerLimits
         Of the axes.
-    """
-    count = len(moves)
-    one, other = np.arange(count - 1), np.arange(1, count)
-    before = moves.tangent(one, np.ones(count - 1))
-    after = moves.tangent(other, np.zeros(count - 1))
-    cosine = np.clip(np.einsum('ij,ij->i', before, after), -1.0, 1.0)
-    turn = portable.arccos(cosine)
-    slower = np.minimum(own.speed[:-1], own.speed[1:])
-    rise = np.array(limits.acceleration)
-    jump = (slower / limits.period + own.acceleration[1:])[:, np.newaxis] * np.abs(after - before)
-    scale = (jump / rise).max(axis=1)
-    bent = moves.arc[:-1] | moves.arc[1:]
-    scale = np.where(bent, scale / TANGENTIAL, scale)
-    joined = ~moves.stop[:-1] & ~moves.first[1:] & (moves.rapid[:-1] == moves.rapid[1:])
-    joined &= (np.pi - turn > _REVERSED) & ~np.isnan(moves.rounding[:-1])
-    tangent = joined & (scale < _KINK)
-    kinked = np.where(tangent, slower, slower * _KINK / np.maximum(scale, _KINK))
-
-    blend = _Blends(moves, own, limits, turn, np.cross(before, after))
-    mixed = moves.rounding[:-1] > 0.0
-    net, start = _overlaps(moves, own, turn)
-    value = np.stack([np.where(mixed, 0.5 * net, 0.0), kinked, np.where(mixed, blend.speed, 0.0)])
-    best = value.argmax(axis=0)
-    kind = np.select(
-        [~joined, tangent, ~mixed, best == 2, best == 1], [STOP, TANGENT, STOP, ARC, TANGENT],
-        OVERLAP,
-    )  # fmt: skip
-    speed = np.select(
-        [kind == TANGENT, kind == ARC, kind == OVERLAP], [kinked, blend.speed, start]
-    )
-    kink = np.where(kind == TANGENT, np.minimum(scale, _KINK), 0.0)
-    trim = np.where(kind == ARC, blend.trim, 0.0)
-
-    def closed(values: Array, last: float = 0.0) -> Array:
-        return np.append(values, last)
-
-    return Junctions(
-        np.append(kind, STOP).astype(np.intp),
-        closed(speed),
-        closed(trim),
-        closed(blend.acceleration, 1.0),
-        closed(kink),
-        closed(turn),
-    )
-
-
-class _Blends:
-    """Arcs that round corners, as large as the tolerance and the moves let them be.
 
     Attributes
     ----------
-    speed, trim, acceleration : ndarray, shape (n - 1,)
-        Speed on the arc [m/s], way from its ends to the corner [m], and acceleration in its
-        plane [m/s^2].
+    found : list of PlannedPart
+        Moves and blends in order.
+    first_gain : float
+        Acceleration of the first one while nothing is known of the next [m/s^2].
+    along, inward : ndarray, shape (n - 1, 3)
+        The planes of the corners: unit vectors along the move before it, and across that to
+        where the next one goes.
     """
 
-    def __init__(
-        self, moves: Moves, own: MoveLimits, limits: ControllerLimits, turn: Array, normal: Array
-    ) -> None:
-        half = 0.5 * (np.pi - turn)
-        length = moves.length
-        ready = length[:-1] * _MOST_LENGTH, length[1:] * _MOST_LENGTH
-        reach = np.minimum(*ready)
-        if moves.arc.any():
-            reach = np.minimum(self._along(moves), reach)
-        rounding = np.minimum(moves.rounding[:-1], moves.rounding[1:])
-        rounding = np.minimum(rounding, _MOST_ROUNDING * np.minimum(length[:-1], length[1:]))
-        self.acceleration = _in_plane(normal, np.array(limits.acceleration))
-        flat = _in_plane(normal, np.array(limits.velocity))
-        goal = np.maximum(own.speed[:-1], own.speed[1:])
-        lines = ~(moves.arc[:-1] | moves.arc[1:])
-        goal = np.minimum(goal, np.maximum(flat, np.where(lines, _altitude(own.most, turn), 0.0)))
-        with np.errstate(divide='ignore', invalid='ignore'):
-            tolerated = portable.cos(half) * rounding / (1.0 - portable.sin(half))
-            away = np.minimum(reach, tolerated)
-            largest = portable.tan(half) * away
-            across = _NORMAL * self.acceleration
-            plan = np.minimum(np.sqrt(across * largest), goal)
-            # a parabola of half the acceleration tells how much of the moves is used
-            gentle = 0.5 * self.acceleration
-            span = np.minimum(np.sqrt(2.0 * gentle * away), plan) / gentle * plan
-            radius = np.maximum(plan**2 / across, np.minimum(span / turn, largest))
-            trim = radius / portable.tan(half)
-        useful = np.isfinite(plan) & np.isfinite(trim) & (radius * turn > _SHORTEST) & (trim > 0.0)
-        self.speed = np.where(useful, plan, 0.0)
-        self.trim = np.where(useful, trim, 0.0)
+    def __init__(self, moves: Moves, limits: ControllerLimits) -> None:
+        self._limits, self._period = limits, limits.period
+        count = len(moves)
+        one, other = np.arange(count - 1), np.arange(1, count)
+        before = moves.tangent(one, np.ones(count - 1))
+        after = moves.tangent(other, np.zeros(count - 1))
+        cosine = np.einsum('ij,ij->i', before, after)
+        turn = np.arccos(np.clip(cosine, -1.0, 1.0))
+        normal = np.cross(before, after)
+        rise = np.array(limits.acceleration)
+        self.along = before
+        self.inward = _unit(after - cosine[:, np.newaxis] * before)
+        self._turn = turn.tolist()
+        # what a kink takes of the axes' acceleration, for each m/s^2 along the path
+        self._jump = (np.abs(after - before) / rise).max(axis=1).tolist()
+        self._rise = _in_plane(normal, rise).tolist()
+        self._flat = _in_plane(normal, np.array(limits.velocity)).tolist()
+        self._sense_out = _senses(moves, one, normal)
+        self._sense_in = _senses(moves, other, normal)
+        # overlapping moves are compared without what an arc climbs
+        level = replace(moves, rise=np.zeros_like(moves.rise), growth=np.zeros(count))
+        out = level.tangent(one, np.ones(count - 1))
+        into = level.tangent(other, np.zeros(count - 1))
+        self._onward = np.einsum('ij,ij->i', out, into).tolist()
+        self._aside = np.einsum('ij,ij->i', out, -_unit(moves.radial[other])).tolist()
+        most, gain = move_limits(moves, limits)
+        self._most, self._gain = most.tolist(), gain.tolist()
+        self._length, self._feed = moves.length.tolist(), moves.feed.tolist()
+        self._rapid, self._bent = moves.rapid.tolist(), moves.arc.tolist()
+        self._rounding, self._sweep = moves.rounding.tolist(), moves.sweep.tolist()
+        self._radius = moves.radius().tolist()
+        self._height = np.linalg.norm(moves.rise, axis=1).tolist()
+        self._angle = list(self._sweep)
+        self.found: list[PlannedPart] = []
+        for index in range(count):
+            self._add(index)
+        _look_ahead(self.found, limits)
+
+    def _add(self, index: int) -> None:
+        """Add a move, and pass to it from the one before it."""
+        now = PlannedPart(
+            index, self._length[index], self._feed[index], self._most[index],
+            self._gain[index], self._period,
+        )  # fmt: skip
+        now.feed, now.rapid = min(now.feed, self._most[index]), self._rapid[index]
+        rounding = self._rounding[index]
+        now.tolerance = rounding if rounding > 0.0 else inf
+        now.end = OVERLAP if rounding > 0.0 else STOP
+        if self._bent[index]:
+            now.arc_share = TANGENTIAL
+        if self.found:
+            before = self.found[-1]
+            self._pass(before, now)
+            self._close(before)
+        else:
+            self.first_gain = now.acceleration()
+        self.found.append(now)
+
+    def _close(self, before: PlannedPart) -> None:
+        """Set the limits of a move whose length is known now."""
+        before.most = min(before.most, before.length / self._period)
+        if self._bent[before.move]:
+            radius = self._bend(before.move)
+            plain = before.plain_acceleration()
+            across = before.most**2 / max(radius, 1e-15)
+            if across > NORMAL * plain:
+                before.most = sqrt(NORMAL * plain * radius)
+            else:
+                before.arc_share = sqrt(1.0 - (across / plain) ** 2)
+
+    def _bend(self, move: int) -> float:
+        """Return the radius of curvature of a move [m]."""
+        radius = self._radius[move]
+        return radius + self._height[move] ** 2 / max(radius, 1e-15)
+
+    def _pass(self, before: PlannedPart, now: PlannedPart) -> None:
+        """Choose how a move goes on into the next."""
+        corner = before.move
+        turn = self._turn[corner]
+        if before.rapid != now.rapid or isnan(self._rounding[corner]):
+            before.end = STOP
+            return
+        if pi - turn < _REVERSED:
+            before.end = STOP
+            return
+        slower = min(before.asked(), now.asked())
+        scale = (slower / self._period + now.rise) * self._jump[corner]
+        if self._bent[corner] or self._bent[now.move]:
+            scale /= TANGENTIAL
+        tangent = scale < _KINK
+        before.kink = slower if tangent else slower * _KINK / scale
+        before.kink_out = max(before.kink_out, min(scale, _KINK))
+        now.kink_in = max(now.kink_in, min(scale, _KINK))
+        if tangent:
+            before.end = TANGENT
+            return
+        if before.end == STOP:
+            return
+        blend = self._blend(before, now)
+        speed = 0.0 if blend is None else blend[1]
+        # to overlap takes acceleration from both moves: only half of its speed counts
+        floor = 2.0 * max(speed, before.kink)
+        if self._overlap(before, now, (0.5, 0.5), floor)[1] >= floor:
+            self._plain(before, now)
+            before.end, now.overlapped = OVERLAP, True
+        elif blend is not None and speed > before.kink:
+            self._round(before, now, *blend)
+        else:
+            before.end = TANGENT
 
     @staticmethod
-    def _along(moves: Moves) -> Array:
-        """Return how far along its moves the blend of each corner may reach [m]."""
-        radius = moves.radius()
-        end = np.minimum(moves.sweep * 2.0 / 3.0, np.pi / 2.0) * radius * (1.0 + moves.growth)
-        begin = np.minimum(moves.sweep / 3.0, np.pi / 2.0) * radius
-        whole = moves.length * _MOST_LENGTH
-        return np.minimum(
-            np.where(moves.arc, end, whole)[:-1], np.where(moves.arc, begin, whole)[1:]
-        )
+    def _plain(before: PlannedPart, now: PlannedPart) -> None:
+        before.kink, before.kink_out, now.kink_in = -1.0, 0.0, 0.0
+
+    def overlap_speed(self, before: PlannedPart, now: PlannedPart) -> float:
+        """Return the speed below which the next move starts [m/s]."""
+        return self._overlap(before, now, (1.0, 0.5 if now is self.found[-1] else 1.0), -1.0)[0]
+
+    def _overlap(
+        self, before: PlannedPart, now: PlannedPart, share: tuple[float, float], floor: float
+    ) -> tuple[float, float]:
+        """Return starting and net speeds of a corner where one move starts while one ends.
+
+        Of the lengths of the moves only shares are sure, since blends may still take some.  Zeros
+        if the net speed is less than a floor.
+        """
+        gain, rise = before.acceleration(), now.acceleration()
+        top = self._limits.path_velocity
+        first = min(sqrt(gain * before.length * share[0]), before.asked(), top)
+        second = min(sqrt(rise * now.length * share[1]), now.asked(), top)
+        if 0.5 * (first + second) < floor or not first or not second:
+            return 0.0, 0.0
+        time = min(before.length / first, now.length / second, max(first / gain, second / rise))
+        first, second = min(first, time * gain), min(second, time * rise)
+        half = self._half(before, now)
+        if before.tolerance < inf and cos(half) > 1e-3:
+            within = 2.0 * sqrt(gain * before.tolerance / cos(half))
+            first, second = min(first, within), min(second, within)
+        return first, 0.5 * sin(half) * (first + second)
+
+    def _half(self, before: PlannedPart, now: PlannedPart) -> float:
+        """Return half of the angle between two moves, the next one pulled aside by its bend."""
+        straight, aside = self._onward[before.move], self._aside[before.move]
+        along = now.plain_acceleration()
+        inward = 0.0
+        if self._bent[now.move]:
+            inward = (0.5 * now.feed) ** 2 / self._radius[now.move]
+        share = (straight * along + aside * inward) / hypot(along, inward)
+        return 0.5 * acos(max(-1.0, min(1.0, -share)))
+
+    def _blend(
+        self, before: PlannedPart, now: PlannedPart
+    ) -> tuple[BlendArc, float, float, float] | None:
+        """Return an arc that rounds a corner, its speed, and what it takes of both moves.
+
+        Of a line that is a length [m], of an arc an angle [rad].  None if there is no such arc.
+        """
+        corner, period = before.move, self._period
+        turn = self._turn[corner]
+        if turn < _STRAIGHT or pi - turn < _STRAIGHT:
+            return None
+        half, ahead = 0.5 * (pi - turn), cmath.exp(1j * turn)
+        bent = self._bent[corner], self._bent[now.move]
+        if bent == (False, False):
+            largest = [inf, inf]
+            reach = min(before.length, _MOST_LENGTH * before.nominal, _MOST_LENGTH * now.length)
+        else:
+            found = self._beside(before, now, half)
+            if found is None:
+                return None
+            half, reach, largest = found
+        wide = pi - 2.0 * half
+        nominal = min(before.nominal, now.nominal)
+        tolerance = min(before.tolerance, now.tolerance, _MOST_ROUNDING * nominal)
+        rise = self._rise[corner]
+        goal = min(max(before.asked(), now.asked()), self._fastest(before, now, wide, any(bent)))
+        away = min(reach, cos(half) * tolerance / (1.0 - sin(half)))
+        room = tan(half) * away
+        plan = min(sqrt(NORMAL * rise * room), goal)
+        # a parabola of half the acceleration tells how much of the moves is used
+        gentle = 0.5 * rise
+        span = min(sqrt(2.0 * gentle * away), plan) / gentle * plan
+        radius = max(plan**2 / (NORMAL * rise), min(span / wide, room))
+        if radius <= 0.0 or radius * wide < _SHORTEST:
+            return None
+        trim = radius / tan(half)
+        if not any(bent):
+            centre = radius / sin(half) * (ahead - 1.0) / abs(ahead - 1.0)
+            arc = BlendArc(corner, centre, complex(-trim), trim * ahead)
+            trims = trim, trim
+        else:
+            known = self._touching(corner, now.move, radius, ahead, tolerance, largest)
+            if known is None:
+                return None
+            arc, trims = known
+        if not bent[0] and not before.overlapped:
+            rest = before.length - trims[0]
+            if rest / plan < _GAP * period:
+                arc.line = max(rest, 0.0)
+        if arc.angle < 1e-6:
+            return None
+        return arc, min(plan, arc.length / period), *trims
+
+    def _beside(
+        self, before: PlannedPart, now: PlannedPart, straight: float
+    ) -> tuple[float, float, list[float]] | None:
+        """Return what a blend beside arcs has of room, None if it cannot be.
+
+        Half of the angle between the moves [rad], the way along them [m], and the angles that it
+        may take of arcs [rad].
+        """
+        corner = before.move
+        moves = corner, now.move
+        senses = self._sense_out[corner], self._sense_in[corner]
+        half, largest = straight, [inf, inf]
+        reach = [
+            min(before.length, _MOST_LENGTH * before.nominal), _MOST_LENGTH * now.nominal
+        ]  # fmt: skip
+        for side, move in enumerate(moves):
+            if not self._bent[move]:
+                continue
+            if senses[side] == 0.0 or self._height[move] > _FLAT:
+                return None
+            inside = senses[side] > 0.0
+            share = self._angle[move] * (2.0 / 3.0, 1.0 / 3.0)[side]
+            largest[side] = min(share, straight if inside else 0.5 * pi)
+            reach[side] = largest[side] * self._radius[move]
+            if inside:
+                reach[side] = sin(0.25 * largest[side]) * self._radius[move]
+                half = min(half, straight - 0.25 * largest[side])
+        if inf not in largest and half < _NARROWEST:
+            return None
+        return half, min(reach), largest
+
+    def _fastest(self, before: PlannedPart, now: PlannedPart, turn: float, bent: bool) -> float:
+        """Return the speed midway between those of two lines, as vectors, or that of the axes."""
+        flat = self._flat[before.move]
+        if bent:
+            return flat
+        wide = cos(min(turn, 0.49 * pi))
+        first, second = min(before.most, now.most / wide), min(now.most, before.most / wide)
+        base = abs(second * cmath.exp(1j * turn) - first)
+        return max(flat, first * second * sin(turn) / base)
+
+    def _touching(
+        self, corner: int, after: int, radius: float, ahead: complex, tolerance: float,
+        largest: list[float],
+    ) -> tuple[BlendArc, tuple[float, float]] | None:  # fmt: skip
+        """Return an arc that touches two moves, one of them an arc, and what it takes of both."""
+        first = second = 0j
+        bent = self._bent[corner], self._bent[after]
+        if bent[0]:
+            first = 1j * self._sense_out[corner] * self._radius[corner]
+            near = self._radius[corner] - self._sense_out[corner] * radius
+        if bent[1]:
+            second = 1j * self._sense_in[corner] * self._radius[after] * ahead
+            far = self._radius[after] - self._sense_in[corner] * radius
+        if all(bent):
+            between = second - first
+            apart = abs(between)
+            if apart == 0.0:
+                return None
+            along = (near**2 - far**2 + apart**2) / (2.0 * apart)
+            aside = sqrt(max(near**2 - along**2, 0.0))
+            ways = [first + between / apart * complex(along, side) for side in (aside, -aside)]
+            centre = min(ways, key=abs)
+        else:
+            onto = 1.0 + 0j if bent[1] else ahead
+            seen = (second if bent[1] else first) * onto.conjugate()
+            apart = far if bent[1] else near
+            square = apart**2 - (radius - seen.imag) ** 2
+            if square < 0.0:
+                return None
+            way = min(abs(sqrt(square) - seen.real), abs(sqrt(square) + seen.real))
+            centre = onto * complex(-way if bent[1] else way, radius)
+        if abs(centre) - radius > tolerance:
+            return None
+        trims = [0.0, 0.0]
+        ends = [0j, 0j]
+        for side, middle in enumerate((first, second)):
+            if bent[side]:
+                trims[side] = abs(cmath.phase((centre - middle) / -middle))
+                if trims[side] > largest[side]:
+                    return None
+                sense = (self._sense_out, self._sense_in)[side][corner]
+                turned = cmath.exp(1j * sense * trims[side] * (-1.0, 1.0)[side])
+                ends[side] = middle - middle * turned
+            else:
+                trims[side] = way
+                ends[side] = way * (-1.0 + 0j, ahead)[side]
+        return BlendArc(corner, centre, *ends), (trims[0], trims[1])
+
+    def _round(
+        self,
+        before: PlannedPart,
+        now: PlannedPart,
+        arc: BlendArc,
+        speed: float,
+        out: float,
+        into: float,
+    ) -> None:
+        """Put an arc between two moves."""
+        corner = before.move
+        self._plain(before, now)
+        blend = PlannedPart(
+            corner, arc.length, max(before.asked(), now.asked()), speed, self._rise[corner],
+            self._period,
+        )  # fmt: skip
+        blend.blend, blend.end, blend.arc_share = arc, TANGENT, TANGENTIAL
+        self._shorten(before, out, True)
+        self._shorten(now, into, False)
+        if arc.line is not None:
+            # the rest of the line is run with the blend
+            blend.low = before.low
+            self.found.pop()
+        else:
+            blend.low = before.high
+            before.end = TANGENT
+        blend.high = now.low
+        self.found.append(blend)
+
+    def _shorten(self, one: PlannedPart, trim: float, at_end: bool) -> None:
+        move = one.move
+        if self._bent[move]:
+            share = trim / self._sweep[move]
+            self._angle[move] -= trim
+            one.length *= self._angle[move] / (self._angle[move] + trim)
+        else:
+            share = trim / self._length[move]
+            one.length = max(one.length - trim, 0.0)
+        if at_end:
+            one.high = max(one.high - share, one.low)
+        else:
+            one.low += share
+
+
+def _look_ahead(found: list[PlannedPart], limits: ControllerLimits) -> None:
+    """Set the speeds at the ends, so that each can be left within the look-ahead."""
+    count = len(found)
+    for index, one in enumerate(found[1:-1], 1):
+        if found[index - 1].end == TANGENT:
+            one.most = min(one.most, one.length / (_PERIODS_LEAST * limits.period))
+    most = np.array([one.most for one in found])
+    tangent = np.array([one.end == TANGENT for one in found[:-1]], dtype=bool)
+    kink = np.array([one.kink if one.kink >= 0.0 else inf for one in found[:-1]])
+    node = np.where(tangent, np.minimum(np.minimum(most[:-1], most[1:]), kink), 0.0)
+    power = np.array([one.acceleration() * one.length for one in found])
+    # the last move known may still be cut by half: half of it is counted, and its feed
+    entry = np.minimum(power, np.array([one.asked() for one in found]) ** 2)
+    gain = np.append(0.0, np.cumsum(2.0 * power))
+    number = np.arange(1, count)
+    tail = np.minimum(number + limits.look_ahead, count - 1)
+    square = np.minimum(node**2, gain[tail] - gain[number] + entry[tail])
+    square = np.minimum.accumulate((square + gain[number])[::-1])[::-1] - gain[number]
+    final = np.sqrt(np.maximum(square, 0.0)).tolist()
+    for one, speed in zip(found, final, strict=False):
+        one.final = speed
+
+
+def _unit(vectors: Array) -> Array:
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.maximum(length, 1e-15))
 
 
 def _in_plane(normal: Array, limit: Array) -> Array:
     """Return the least limit of axes in the planes across normals, (m, 3)."""
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    unit = normal / np.maximum(length, 1e-15)
-    share = np.sqrt(np.maximum(1.0 - unit**2, 0.0))
+    share = np.sqrt(np.maximum(1.0 - _unit(normal) ** 2, 0.0))
     with np.errstate(divide='ignore'):
         return np.asarray((limit / share).min(axis=1))
 
 
-def _altitude(speed: Array, turn: Array) -> Array:
-    """Return the speed midway between those of two moves, as vectors [m/s]."""
-    wide = portable.cos(np.minimum(turn, 0.49 * np.pi))
-    first = np.minimum(speed[:-1], speed[1:] / wide)
-    second = np.minimum(speed[1:], speed[:-1] / wide)
-    square = first**2 + second**2 - 2.0 * first * second * portable.cos(turn)
-    with np.errstate(divide='ignore', invalid='ignore'):
-        return np.asarray(first * second * portable.sin(turn) / np.sqrt(np.maximum(square, 0.0)))
-
-
-def _overlaps(moves: Moves, own: MoveLimits, turn: Array) -> tuple[Array, Array]:
-    """Return net and starting speeds of corners where one move starts while the last ends."""
-    rise = 0.5 * own.acceleration
-    # what a blend at the other end may take is left out
-    peak = np.minimum(np.sqrt(0.5 * rise * moves.length), own.speed)
-    with np.errstate(divide='ignore', invalid='ignore'):
-        longest = moves.length / peak
-        least = peak / rise
-        time = np.minimum(np.minimum(longest[:-1], longest[1:]), np.maximum(least[:-1], least[1:]))
-        first = np.minimum(peak[:-1], time * rise[:-1])
-        second = np.minimum(peak[1:], time * rise[1:])
-        half = 0.5 * (np.pi - turn)
-        within = 2.0 * np.sqrt(
-            rise[:-1] * moves.rounding[:-1] / np.maximum(portable.cos(half), 1e-3)
-        )
-    first, second = np.minimum(first, within), np.minimum(second, within)
-    return np.asarray(0.5 * portable.sin(half) * (first + second)), first
+def _senses(moves: Moves, index: NDArray[np.intp], normal: Array) -> list[float]:
+    """Return 1 for arcs that bend as their corner does, -1 for the others; 0 out of its plane."""
+    axis = _unit(np.cross(moves.radial[index], moves.across[index]))
+    sense = np.einsum('ij,ij->i', axis, _unit(normal))
+    return np.where(np.abs(sense) > 1.0 - 1e-9, np.sign(sense), 0.0).tolist()

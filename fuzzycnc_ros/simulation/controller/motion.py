@@ -5,28 +5,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
+from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.simulation.controller.blends import (
-    ARC,
-    GAP,
     OVERLAP,
     STOP,
     TANGENT,
-    TANGENTIAL,
     ControllerLimits,
-    Junctions,
-    junctions,
-    move_limits,
+    Plan,
+    PlannedPart,
 )
 from fuzzycnc_ros.simulation.controller.moves import Moves, merged
 
-_PERIODS_LEAST = 1.02
-"""Periods that a move takes at least."""
+_PLACE, _DIGITS = 1e-15, 4e-16
+"""Way that counts as none [m], and share of a way that numbers do not tell from none [-]."""
+_PACE = 1e-11
+"""Speed that counts as none [m/s]."""
+_INSTANT = 1e-12
+"""Time that counts as none [s]."""
+_NEAR = 3
+"""Periods before the end of a segment that are gone through one by one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,37 +49,6 @@ class Commanded:
     position: Array
     place: Array
     duration: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Parts:
-    """Moves and the blends between them in order, k parts of one motion.
-
-    Attributes
-    ----------
-    move : ndarray of int, shape (k,)
-        Index of the move; of a blend, of the one before it.
-    blend, alone : ndarray of bool, shape (k,)
-        Which are blends, and which the planner has as parts of their own.
-    low, high : ndarray, shape (k,)
-        Shares of the move that are left of it.
-    length, whole, speed, rise : ndarray, shape (k,)
-        Way, that of it with what is run in one go with it [m], speed and acceleration at most
-        [m/s, m/s^2].
-    node : ndarray, shape (k + 1,)
-        Speed at the ends at most [m/s].
-    """
-
-    move: NDArray[np.intp]
-    blend: NDArray[np.bool_]
-    alone: NDArray[np.bool_]
-    low: Array
-    high: Array
-    length: Array
-    whole: Array
-    speed: Array
-    rise: Array
-    node: Array
 
 
 def command(moves: Moves, limits: ControllerLimits) -> Commanded:
@@ -101,186 +73,308 @@ def command(moves: Moves, limits: ControllerLimits) -> Commanded:
     --------
     See `fuzzycnc_ros.simulation.controller.program.simulate`.
     """
-    plan = _Plan(merged(moves), limits)
-    return plan.sampled()
+    moves = merged(moves)
+    # the planner is empty wherever the program stands still
+    last = np.flatnonzero(moves.stop[:-1]) + 1
+    parts = [
+        _chain(moves.chosen(np.arange(low, high)), limits)
+        for low, high in pairwise([0, *last.tolist(), len(moves)])
+    ]
+    position = np.concatenate([moves.start[:1], *(part.position for part in parts)])
+    place = np.concatenate([moves.place[:1, 0], *(part.place for part in parts)])
+    # joints get cubic splines of the planner's positions, and two periods later
+    one, two, three = (np.pad(position, ((2 - k, k), (0, 0)), 'edge') for k in range(3))
+    place = np.pad(place, 1, 'edge')
+    return Commanded((one + 4.0 * two + three) / 6.0, place, limits.period * (len(place) - 1))
 
 
-class _Plan:
-    """Speeds and times of moves and blends."""
+def _chain(moves: Moves, limits: ControllerLimits) -> Commanded:
+    """Return what is commanded from one rest to the next, and while it stands there."""
+    plan = Plan(moves, limits)
+    run = _Run(plan, moves.rest.tolist(), limits)
+    position, place = _evaluated(moves, plan, run, limits.period)
+    return Commanded(position, place, limits.period * len(place))
 
-    def __init__(self, moves: Moves, limits: ControllerLimits) -> None:
-        self._moves, self._limits = moves, limits
-        own = move_limits(moves, limits)
-        self._joined = junctions(moves, own, limits)
-        half = np.where(self._joined.kind == OVERLAP, 0.5, 1.0)
-        half = np.minimum(half, np.append(1.0, half[:-1]))
-        kink = np.maximum(self._joined.kink, np.append(0.0, self._joined.kink[:-1]))
-        rise = own.acceleration * half * (1.0 - kink)
-        self._parts = _parts(moves, own.speed, rise, self._joined, limits.period)
-        self._speeds()
-        self._times()
 
-    def _speeds(self) -> None:
-        """Look ahead and back, so that every speed can be reached and left."""
-        part, limits = self._parts, self._limits
-        least = part.whole / (_PERIODS_LEAST * limits.period)
-        self._most = np.minimum(part.speed, least)
-        edge = np.append(np.inf, self._most), np.append(self._most, np.inf)
-        square = np.minimum(part.node, np.minimum(*edge)) ** 2
-        gain = np.append(0.0, np.cumsum(2.0 * part.rise * part.length))
-        number = np.append(0, np.cumsum(part.alone))
-        ahead = np.searchsorted(number, number + limits.look_ahead, 'right') - 1
-        square = np.minimum(square, gain[ahead] - gain)
-        square = np.minimum.accumulate((square + gain)[::-1])[::-1] - gain
-        square = np.minimum.accumulate(square - gain) + gain
-        self._node = np.sqrt(np.maximum(square, 0.0))
+class _Run:
+    """Runs segments period by period, as LinuxCNC's planner does.
 
-    def _times(self) -> None:
-        """Set when each part begins and ends, and how its speed goes in between."""
-        part, limits = self._parts, self._limits
-        begin, end = self._node[:-1], self._node[1:]
-        peak = np.sqrt(part.rise * part.length + 0.5 * (begin**2 + end**2))
-        top = np.maximum(np.minimum(peak, self._most), np.maximum(begin, end))
-        up, down = (top - begin) / part.rise, (top - end) / part.rise
-        way = 0.5 * (begin + top) * up + 0.5 * (end + top) * down
-        level = np.maximum(part.length - way, 0.0) / np.maximum(top, 1e-12)
-        # a short part changes its speed evenly; what is left unused of the acceleration stays so
-        with np.errstate(divide='ignore'):
-            even = 2.0 * part.length / (begin + end)
-        ramped = (even < limits.ramp_time) & (end > 0.0) & ~self._moves.rapid[part.move]
-        # an even ramp is a climb or a fall all along
-        rises = ramped & (end >= begin)
-        falls = ramped & ~rises
-        self._top = np.select([rises, falls], [end, begin], top)
-        self._up = np.select([rises, falls], [even, np.zeros_like(even)], up)
-        self._level = np.where(ramped, 0.0, level)
-        self._down = np.select([rises, falls], [np.zeros_like(even), even], down)
-        span = self._up + self._level + self._down
-        # where moves overlap, the next one starts when the last one has slowed down that far
-        kind, move = self._joined.kind, part.move
-        closes = np.append(move[1:] != move[:-1], True) & ~part.blend
-        last = closes & np.isin(kind[move], (STOP, OVERLAP))
-        rest = np.where(last, self._moves.rest[move], 0.0)
-        with np.errstate(divide='ignore', invalid='ignore'):
-            early = np.minimum(self._joined.speed[move] / part.rise, self._down)
-        early = np.where(last & (kind[move] == OVERLAP), early, 0.0)
-        # a stop is seen in a period of its own
-        rest = rest + np.where(last & (kind[move] == STOP), limits.period, 0.0)
-        self._begin = np.append(0.0, np.cumsum(span + rest - early)[:-1])
-        self._span, self._last = span, last
-        self.duration = float(self._begin[-1] + span[-1] + self._moves.rest[move[-1]])
+    Even acceleration over many periods is kept as one entry.
 
-    def sampled(self) -> Commanded:
-        """Return positions and places, a period apart."""
-        period = self._limits.period
-        count = int(np.ceil(self.duration / period - 1e-9)) + 1
-        time = period * np.arange(count, dtype=np.float64)
-        at = np.clip(np.searchsorted(self._begin, time, 'right') - 1, 0, len(self._begin) - 1)
-        way = self._way(at, time)
-        position, place = self._evaluate(at, way)
-        # what is left of the move before, where two overlap
-        chain = np.append(0, np.cumsum(self._last)[:-1])[at]
-        final = np.flatnonzero(self._last)
-        over = np.append(-np.inf, self._begin[final] + self._span[final])
-        late = np.flatnonzero(time < over[chain])
-        if len(late):
-            before = final[chain[late] - 1]
-            whole = self._parts.length[before]
-            here, _ = self._evaluate(before, self._way(before, time[late]))
-            end, _ = self._evaluate(before, whole)
-            position[late] += here - end
-        return Commanded(position, place, self.duration)
+    Attributes
+    ----------
+    segment, count, way, speed, rise : list
+        Of entries: index of a segment, periods, and way and speed before them [m, m/s], and
+        acceleration [m/s^2]; a single period has its way alone.
+    early : list of tuple
+        Periods in which a segment and the one before it move: number of the period, index of the
+        one before, its way [m].
+    """
 
-    def _way(self, at: NDArray[np.intp], time: Array) -> Array:
-        """Return the way inside parts at times [m]."""
-        part, node = self._parts, self._node
-        since = np.minimum(time - self._begin[at], self._span[at])
-        up, level, down = self._up[at], self._level[at], self._down[at]
-        begin, top, end = node[:-1][at], self._top[at], node[1:][at]
-        rising = np.minimum(since, up)
-        holding = np.clip(since - up, 0.0, level)
-        falling = np.clip(since - up - level, 0.0, down)
-        with np.errstate(divide='ignore', invalid='ignore'):
-            gain = np.where(up > 0.0, (top - begin) / up, 0.0)
-            loss = np.where(down > 0.0, (top - end) / down, 0.0)
-        way = begin * rising + 0.5 * gain * rising**2 + top * holding
-        way += top * falling - 0.5 * loss * falling**2
-        return np.asarray(np.clip(way, 0.0, part.length[at]))
+    def __init__(self, plan: Plan, rest: list[float], limits: ControllerLimits) -> None:
+        self._plan, self._found = plan, plan.found
+        self._period, self._ramp_time = limits.period, limits.ramp_time
+        self.segment: list[int] = []
+        self.count: list[int] = []
+        self.way: list[float] = []
+        self.speed: list[float] = []
+        self.rise: list[float] = []
+        self.early: list[tuple[int, int, float]] = []
+        self._number = 0
+        for one in self._found:
+            one.gain, one.top = one.acceleration(), min(one.asked(), limits.path_velocity)
+        for one, after in pairwise(self._found):
+            if one.end == OVERLAP:
+                one.overlaps = plan.overlap_speed(one, after)
+        self._set_off()
+        for index, one in enumerate(self._found):
+            self._through(index, one)
+            if rest[one.move] > 0.0 and (one.end == STOP or one is self._found[-1]):
+                # a stop is seen in a period of its own
+                one.speed = 0.0
+                self._enter(index, one, round(rest[one.move] / limits.period) + 1, 0.0)
 
-    def _evaluate(self, at: NDArray[np.intp], way: Array) -> tuple[Array, Array]:
-        """Return positions and places of ways inside parts."""
-        part, moves = self._parts, self._moves
-        share = way / part.length[at]
-        move = part.move[at]
-        along = part.low[at] + (part.high - part.low)[at] * share
-        position = moves.position(move, np.where(part.blend[at], 0.0, along))
-        place = moves.place[move, 0] + np.diff(moves.place, axis=1)[move, 0] * along
-        bent = np.flatnonzero(part.blend[at])
-        if len(bent):
-            position[bent], place[bent] = self._blended(move[bent], share[bent])
+    def _set_off(self) -> None:
+        """Run the first period, in which the planner knows the first move alone."""
+        first = self._found[0]
+        if first.blend is None:
+            gain, first.gain = first.gain, self._plan.first_gain
+            self._step(first, None)
+            first.gain = gain
+        self._note(0, first)
+
+    def _through(self, index: int, one: PlannedPart) -> None:
+        """Run a segment to its end."""
+        found = self._found
+        after = found[index + 1] if index + 1 < len(found) else None
+        beyond = found[index + 2] if index + 2 < len(found) else None
+        if index or one.blend is not None:  # when the first one starts, its end is not known
+            self._start(one)
+        done = False
+        while not done:
+            if one.split:
+                one.progress = one.length
+                if after is not None:
+                    if one.end == TANGENT:
+                        after.cycle = self._period - one.cycle
+                        after.speed = one.term_speed
+                    self._step(after, beyond)
+                    self._note(index + 1, after)
+                else:
+                    self._note(index, one)
+                return
+            self._leap(index, one, after)
+            one.cycle = self._period
+            done = self._step(one, after)
+            if after is not None and self._overlaps(one):
+                self._step(after, None)
+                self.early.append((self._number, index, one.progress))
+                self._note(index + 1, after)
+            else:
+                self._note(index, one)
+
+    def _start(self, one: PlannedPart) -> None:
+        """Choose whether a segment changes its speed evenly."""
+        left = one.length - one.progress
+        pace = one.speed + min(one.final, one.top)
+        even = left > 0.0 and 2.0 * left < self._ramp_time * pace
+        one.ramp = even and one.end == TANGENT and not one.rapid
+
+    def _note(self, index: int, one: PlannedPart) -> None:
+        """Note where a segment is at the end of a period."""
+        self.segment.append(index)
+        self.count.append(1)
+        self.way.append(one.progress)
+        self.speed.append(0.0)
+        self.rise.append(0.0)
+        self._number += 1
+
+    def _enter(self, index: int, one: PlannedPart, count: int, rise: float) -> None:
+        """Note how a segment goes on over many periods."""
+        self.segment.append(index)
+        self.count.append(count)
+        self.way.append(one.progress)
+        self.speed.append(one.speed)
+        self.rise.append(rise)
+        self._number += count
+
+    def _overlaps(self, one: PlannedPart) -> bool:
+        if one.end == OVERLAP and one.on_brake and one.speed < one.overlaps:
+            one.overlapping = True
+        return one.overlapping
+
+    def _final(self, one: PlannedPart, after: PlannedPart | None) -> float:
+        """Return the speed that its end shall have [m/s]."""
+        if one.end != TANGENT or after is None:
+            return 0.0
+        return min(one.final, one.top, after.top)
+
+    def _step(self, one: PlannedPart, after: PlannedPart | None) -> bool:
+        """Run a segment for its part of a period; return whether it rests at its end."""
+        cycle, speed, rise = one.cycle, one.speed, one.gain
+        final = self._final(one, after)
+        left = one.length - one.progress
+        if one.ramp and final >= _PACE:
+            mean = 0.5 * (speed + final)
+            time = max(left / mean, 1e-16)
+            gain, wanted = (final - speed) / time, final
+        else:
+            ramp = 0.5 * rise * cycle
+            square = final * final + rise * (2.0 * left - speed * cycle) + ramp * ramp
+            wanted = sqrt(square) - ramp if square > ramp * ramp else -ramp
+            gain = (min(wanted, one.top) - speed) / (cycle or _INSTANT)
+        if gain > rise:
+            gain = rise
+        elif gain < -rise:
+            gain = -rise
+        now = speed + gain * cycle
+        if now < 0.0:
+            now = 0.0
+            if left < speed * cycle:
+                one.progress = one.length
+        else:
+            way = one.progress + 0.5 * (now + speed) * cycle
+            one.progress = way if way < one.length else one.length
+        one.speed = now
+        one.on_brake = gain < 0.0 and abs(wanted - now) < _PACE
+        return self._near_end(one, final)
+
+    def _near_end(self, one: PlannedPart, final: float) -> bool:
+        """Split the next period where the segment ends in it; return whether it ended at rest."""
+        period = one.cycle = self._period
+        left = one.length - one.progress
+        if left <= _PLACE + _DIGITS * one.length:
+            one.progress = one.length
+            one.split, one.cycle, one.term_speed = True, 0.0, one.speed
+            return one.end == STOP
+        if one.end == STOP:
+            return False
+        mean = 0.5 * (one.speed + final)
+        if mean <= _PACE:
+            return False
+        time = max(0.5 * _INSTANT, left / mean)
+        gain = (final - one.speed) / time
+        if abs(gain) > one.gain:
+            gain = one.gain if gain > 0.0 else -one.gain
+            square = (one.speed / gain) ** 2 + 2.0 / gain * left
+            if square < 0.0:
+                return False
+            root = sqrt(square) if gain > 0.0 else -sqrt(square)
+            time = root - one.speed / gain
+            final = one.speed + time * gain
+        if time < _INSTANT:
+            one.progress = one.length
+            time = 0.0
+        if time < period and not (one.split and time > 0.0):
+            one.split, one.cycle, one.term_speed = True, time, final
+        return False
+
+    def _leap(self, index: int, one: PlannedPart, after: PlannedPart | None) -> None:
+        """Run through the periods in which the acceleration stays, but the last ones."""
+        if one.ramp or one.overlapping or one.split:
+            return
+        period, rise, speed = self._period, one.gain, one.speed
+        final = self._final(one, after)
+        left = one.length - one.progress
+        top, gain = one.top, rise * period
+        spare = 2.0 * rise * left + final * final - speed * speed  # until it has to brake
+        if speed < top - gain and spare > 0.0:
+            most = min(top, sqrt(speed * speed + 2.0 * rise * left))
+            # (v + n g)^2 - f^2 = 2 a (left - way), the way that of n periods
+            root = sqrt(speed * speed + 0.5 * spare) - speed
+            number = min((top - speed) / gain, root / gain, left / (most * period) - _NEAR)
+        elif abs(speed - top) <= 1e-9 * top and spare > 0.0:
+            gain = 0.0
+            way = spare / (2.0 * rise)
+            number = min(way / (top * period), left / (top * period) - _NEAR)
+        elif speed > top + gain:
+            gain = -gain
+            number = min((speed - top) / -gain, left / (speed * period) - _NEAR)
+        elif one.on_brake and abs(spare) <= 1e-6 * max(speed * speed, 1e-12):
+            edge = max(final, one.overlaps if one.end == OVERLAP else 0.0)
+            number = (speed - edge) / gain - 2.0 - _NEAR
+            gain = -gain
+        else:
+            return
+        count = int(number) - 1
+        if count < 2:
+            return
+        self._enter(index, one, count, gain / period)
+        one.progress += (speed + 0.5 * gain * count) * count * period
+        one.speed = speed + gain * count
+
+
+def _evaluated(moves: Moves, plan: Plan, run: _Run, period: float) -> tuple[Array, Array]:
+    """Return positions and places at the ends of all periods."""
+    count = np.array(run.count)
+    entry = np.repeat(np.arange(len(count)), count)
+    since = np.arange(len(entry)) - np.repeat(np.cumsum(count) - count, count) + 1.0
+    since = np.where(count[entry] == 1, 0.0, since * period)
+    way = np.array(run.way)[entry] + np.array(run.speed)[entry] * since
+    way += 0.5 * np.array(run.rise)[entry] * since**2
+    points = _Points(moves, plan)
+    position, place = points.at(np.array(run.segment, dtype=np.intp)[entry], way)
+    if run.early:
+        number, before, gone = map(np.array, zip(*run.early, strict=True))
+        here, _ = points.at(before, gone)
+        there, _ = points.at(before, points.length[before])
+        position[number] += here - there
+    return position, place
+
+
+class _Points:
+    """Points of segments.
+
+    Attributes
+    ----------
+    length : ndarray, shape (k,)
+        Of segments [m].
+    """
+
+    def __init__(self, moves: Moves, plan: Plan) -> None:
+        found = plan.found
+        self._moves, self._plan = moves, plan
+        self._move = np.array([one.move for one in found], dtype=np.intp)
+        self._low, self._high, self.length = np.array(
+            [(one.low, one.high, one.length) for one in found]
+        ).T
+        self._blend = np.array([one.blend is not None for one in found])
+
+    def at(self, segment: NDArray[np.intp], way: Array) -> tuple[Array, Array]:
+        """Return positions and places of ways inside segments."""
+        move, moves = self._move[segment], self._moves
+        share = way / np.maximum(self.length[segment], 1e-15)
+        low, high, bent = self._low[segment], self._high[segment], self._blend[segment]
+        along = low + (high - low) * share
+        position = moves.position(move, np.where(bent, 0.0, along))
+        ends = moves.place[move, 0], np.diff(moves.place, axis=1)[move, 0]
+        place = ends[0] + ends[1] * along
+        rounded = np.flatnonzero(bent)
+        if len(rounded):
+            one = move[rounded]
+            begin = ends[0][rounded] + ends[1][rounded] * low[rounded]
+            end = moves.place[one + 1, 0]
+            end = end + np.diff(moves.place, axis=1)[one + 1, 0] * high[rounded]
+            place[rounded] = begin + (end - begin) * share[rounded]
+            position[rounded] = self._rounded(segment[rounded], way[rounded])
         return position, place
 
-    def _blended(self, move: NDArray[np.intp], share: Array) -> tuple[Array, Array]:
-        """Return points of blends: cubic curves as near to arcs as such curves can be."""
-        moves, trim = self._moves, self._joined.trim
-        after = move + 1
-        out = 1.0 - trim[move] / moves.length[move]
-        into = trim[move] / moves.length[after]
-        first, last = moves.position(move, out), moves.position(after, into)
-        one, other = moves.tangent(move, out), moves.tangent(after, into)
-        turn = portable.arccos(np.clip(np.einsum('ij,ij->i', one, other), -1.0, 1.0))
-        chord = np.linalg.norm(last - first, axis=1)
-        with np.errstate(divide='ignore', invalid='ignore'):
-            arm = (
-                (4.0 / 3.0) * portable.tan(0.25 * turn) * chord / (2.0 * portable.sin(0.5 * turn))
-            )
-        arm = np.where(turn > 1e-6, arm, chord / 3.0)[:, np.newaxis]
-        s = share[:, np.newaxis]
-        rest = 1.0 - s
-        point = (
-            rest**2 * rest * first
-            + 3.0 * rest**2 * s * (first + arm * one)
-            + 3.0 * rest * s**2 * (last - arm * other)
-            + s**2 * s * last
+    def _rounded(self, segment: NDArray[np.intp], way: Array) -> Array:
+        """Return points of arcs between moves."""
+        used, index = np.unique(segment, return_inverse=True)
+        arcs = [arc for one in used.tolist() if (arc := self._plan.found[one].blend) is not None]
+        centre, start, end = (
+            np.array([getattr(arc, name) for arc in arcs])[index]
+            for name in ('centre', 'start', 'end')
         )
-        low = moves.place[move, 0] + out * np.diff(moves.place, axis=1)[move, 0]
-        high = moves.place[after, 0] + into * np.diff(moves.place, axis=1)[after, 0]
-        return point, low + (high - low) * share
-
-
-def _parts(moves: Moves, speed: Array, rise: Array, joined: Junctions, period: float) -> _Parts:
-    """Return moves and blends in order."""
-    count = len(moves)
-    blended = joined.kind == ARC
-    trim = joined.trim / moves.length
-    before = np.append(0.0, joined.trim[:-1]) / moves.length
-    where = np.arange(count) + np.append(0, np.cumsum(blended)[:-1])
-    size = count + int(blended.sum())
-    move = np.repeat(np.arange(count), 1 + blended)
-    blend = np.ones(size, dtype=bool)
-    blend[where] = False
-    arcs = where[blended] + 1
-    length, most, gain = np.empty(size), np.empty(size), np.empty(size)
-    low, high = np.zeros(size), np.ones(size)
-    low[where], high[where] = before, np.maximum(1.0 - trim, before)
-    length[where] = np.maximum(moves.length * (1.0 - trim - before), 1e-12)
-    length[arcs] = (
-        joined.turn[blended] * joined.trim[blended] / portable.tan(0.5 * joined.turn[blended])
-    )
-    most[where], most[arcs] = speed, joined.speed[blended]
-    gain[where], gain[arcs] = rise, TANGENTIAL * joined.acceleration[blended]
-    whole = length.copy()
-    # what is left of a line before a blend is run with it, unless that takes some periods
-    rest = np.flatnonzero(blended & ~moves.arc)
-    rest = rest[length[where[rest]] < GAP * period * joined.speed[rest]]
-    most[where[rest]] = joined.speed[rest]
-    whole[where[rest]] += length[where[rest] + 1]
-    whole[where[rest] + 1] = whole[where[rest]]
-    alone = np.ones(size, dtype=bool)
-    alone[where[rest]] = False
-    node = np.full(size + 1, np.inf)
-    node[0] = 0.0
-    tangent = joined.kind == TANGENT
-    node[where[tangent] + 1] = joined.speed[tangent]
-    node[where[np.isin(joined.kind, (STOP, OVERLAP))] + 1] = 0.0
-    return _Parts(move, blend, alone, low, high, length, whole, most, gain, node)
+        sizes = [(arc.radius, arc.angle, arc.line or 0.0) for arc in arcs]
+        radius, angle, line = np.array(sizes)[index].T
+        gone = way - line
+        turned = np.maximum(gone, 0.0) / radius
+        point = centre + (np.sin(angle - turned) * start + np.sin(turned) * end) / np.sin(angle)
+        # before it the rest of the line, which comes along the tangent
+        point += np.minimum(gone, 0.0)
+        corner = np.array([arc.corner for arc in arcs])[index]
+        flat = point.real[:, np.newaxis] * self._plan.along[corner]
+        flat += point.imag[:, np.newaxis] * self._plan.inward[corner]
+        return np.asarray(self._moves.end[corner] + flat)

@@ -196,6 +196,10 @@ class AxisTuning:
             if one is best or (one.faults <= best.faults and one.against(best)[0] <= _EQUAL)
         )
 
+    def tuned(self, data: AxisData) -> AxisData:
+        """Return an axis with the controller that suits it and its settings."""
+        return replace(data, controller=self.winner.name, settings=self.winner.settings)
+
 
 def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tuple[AxisCase, ...]:
     """Return the cases of an axis: ways from some counts to half its travel, gains, loads, pulses.

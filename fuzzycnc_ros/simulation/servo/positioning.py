@@ -7,13 +7,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
+from numbers import Real
+from typing import Protocol
 
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.profile import Reference, step_reference
-from fuzzycnc_ros.simulation.servo.axes import AxisPlant
 from fuzzycnc_ros.simulation.servo.lathe_axes import LatheAxes, LatheMove
 
 
@@ -83,9 +84,64 @@ def settle_times(time: Array, error: Array, tolerance: float) -> Array:
     return np.asarray(np.where(far.any(axis=-1), after, time[0]))
 
 
+class DrivenAxis(Protocol):
+    """A driven axis of your own: a control period is `measure`, then `drive`."""
+
+    @property
+    def period(self) -> float:
+        """Control period [s], that of the controller."""
+
+    @property
+    def position(self) -> float:
+        """True position of the slide [m]; what it is judged by."""
+
+    def measure(self) -> float:
+        """Return the position as the sensor gives it now [m]; NaN while it gives none."""
+
+    def drive(self, duty: float) -> None:
+        """Hold a duty, -1 to 1 of the full drive [-], for one period."""
+
+
+NEEDED = {
+    'period': 'the control period [s]',
+    'position': 'the true position [m]',
+    'measure': 'a method that returns the measured position [m]',
+    'drive': 'a method that holds a duty, -1 to 1, for one period',
+}
+"""Attributes of a `DrivenAxis`, and what they give."""
+
+
+def check_plant(plant: object) -> None:
+    """Refuse what cannot be driven as an axis.
+
+    Raises
+    ------
+    TypeError
+        If an attribute of `NEEDED` is missing or of another kind.
+    """
+    kind = type(plant).__name__
+    for name, meaning in NEEDED.items():
+        if not hasattr(plant, name):
+            raise TypeError(
+                f'plant: expected {name}, {meaning}, but found none in {kind}; an axis has '
+                f'{", ".join(NEEDED)}'
+            )
+        value = getattr(plant, name)
+        if callable(value) != meaning.startswith('a method'):
+            raise TypeError(
+                f'plant: expected {name} to be {meaning} but found {value!r} in {kind}'
+                + ('; make it a property' if callable(value) else '')
+            )
+    reading = plant.measure()  # type: ignore[attr-defined]
+    if not isinstance(reading, Real):
+        raise TypeError(
+            f'plant: expected measure() to return a position [m] but found {reading!r} of {kind}'
+        )
+
+
 def position(
     controller: AxisController,
-    plant: AxisPlant,
+    plant: DrivenAxis,
     reference: float | Reference,
     duration: float | None = None,
 ) -> PositioningRun:
@@ -97,8 +153,8 @@ def position(
     ----------
     controller : AxisController
         Controller with the plant's period.
-    plant : AxisPlant
-        Axis; it keeps its state, so that moves can follow each other.
+    plant : DrivenAxis
+        Axis, simulated or your own; it keeps its state, so that moves can follow each other.
     reference : float or Reference
         Target of a step [m], or positions, velocities and accelerations over time.
     duration : float, optional
@@ -107,6 +163,8 @@ def position(
 
     Raises
     ------
+    TypeError
+        If the plant lacks an attribute; the message says which and what it gives.
     ValueError
         If the periods differ, or a step has no duration.
 
@@ -119,6 +177,7 @@ def position(
     >>> run.settle() < 0.4, run.fault
     (True, '')
     """
+    check_plant(plant)
     if controller.period != plant.period:
         raise ValueError(
             f'expected one period but found {controller.period} s in the controller and '

@@ -153,7 +153,7 @@ class Cache:
                 cause = f'another run has held it for {PATIENCE:g} s; wait for that'
             else:
                 cause = f'{error}; free some space or change its rights'
-            raise ValueError(f'{self._path}: {cause}, or name another with --cache') from None
+            raise ValueError(f'{self._path}: {cause}, or name another cache') from None
         except sqlite3.DatabaseError as error:
             raise ValueError(
                 f'{self._path}: expected figures of earlier runs but found something else '

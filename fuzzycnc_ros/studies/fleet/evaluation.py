@@ -4,12 +4,14 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from math import sqrt
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote, unquote
 
 from fuzzycnc_ros.bags.finding import NamedBag
 from fuzzycnc_ros.core.names import text_hash
+from fuzzycnc_ros.core.thermal.band import is_false_band
 from fuzzycnc_ros.core.thermal.model import load_model
 from fuzzycnc_ros.studies.fleet.cache import Cache, Known
 from fuzzycnc_ros.studies.fleet.content import files_of, result_version
@@ -53,6 +55,9 @@ class FleetSummary:
         Bags that were judged now, and bags that were known.
     problems : list of Problem
         Bags and models that could not be used, in the order of the table.
+    bands : dict
+        Machine, model and channel -> number of independent residuals, how many of them were
+        inside the band, and the sum of their squares over those of the deviation.
     """
 
     bags: int = 0
@@ -60,6 +65,16 @@ class FleetSummary:
     judged: int = 0
     from_cache: int = 0
     problems: list[Problem] = field(default_factory=list)
+    bands: dict[tuple[str, str, str], tuple[float, float, float]] = field(default_factory=dict)
+
+    def false_bands(self) -> list[str]:
+        """Return whose band holds far less than it promises, in words; see `is_false_band`."""
+        return [
+            f'{machine}, model {model}: the band holds {100.0 * inside / number:.0f} % of '
+            f'{channel} over all bags; it promises 95 %'
+            for (machine, model, channel), (number, inside, square) in self.bands.items()
+            if number and is_false_band(inside / number, sqrt(square / number), number)
+        ]
 
 
 def model_file(folder: Path, machine: str) -> Path:
@@ -105,7 +120,7 @@ def read_models(places: Sequence[Path]) -> tuple[tuple[FleetModel, ...], list[Pr
         models.append(model)
     if not models:
         reasons = '; '.join(problem.reason for problem in problems)
-        raise ValueError(reasons or 'expected a model but found none; name one with --model')
+        raise ValueError(reasons or 'model: expected one but found none; name one')
     return tuple(models), problems
 
 
@@ -294,6 +309,8 @@ class _Fleet:
             figures = known.figures[namespace, model.hash]
             own = {**common, 'machine': machine, **_of_model(model, figures)}
             rows += [{**own, **channel} for channel in figures.get('channels', ())]
+            for channel in figures.get('channels', ()):
+                self._note_band((machine, model.label, channel['channel']), channel)
             if 'problem' in figures:
                 problem = f'{model.label}: {_renamed(figures, bag)}'
                 rows.append({**own, 'problem': problem})
@@ -301,6 +318,15 @@ class _Fleet:
         self._table.add(rows)
         self.summary.rows += len(rows)
         self._written = at + 1
+
+    def _note_band(self, key: tuple[str, str, str], figures: Document) -> None:
+        """Add the independent residuals of a bag to those of the other bags."""
+        number, inside, square = self.summary.bands.get(key, (0.0, 0.0, 0.0))
+        if figures['samples']:
+            number += figures['independent']
+            inside += figures['independent'] * figures['covered']
+            square += figures['independent'] * figures['band_ratio'] ** 2
+        self.summary.bands[key] = number, inside, square
 
     def _say(self, done: int) -> None:
         self._tell(f'{len(self._bags)} bags', done, len(self._bags))

@@ -270,6 +270,8 @@ def _figures(model: ThermalModel, recorded: ThermalRun) -> Document:
                 'held_out_rms_um': 1e6 * float(model.held_out_rms[c]),
                 'covered': float(judged.covered[c]),
                 'band_um': 1e6 * float(judged.half_width[c]),
+                'independent': float(judged.independent[c]),
+                'band_ratio': float(judged.band_ratio[c]),
             }
             for c, name in enumerate(judged.channel)
         ],

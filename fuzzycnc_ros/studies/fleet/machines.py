@@ -14,6 +14,7 @@ from fuzzycnc_ros.bags.finding import NamedBag
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.core.thermal.fit.comparison import Comparison, HeldOut, judge, splits
+from fuzzycnc_ros.core.thermal.fit.training import training_interval
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
 from fuzzycnc_ros.core.threads import single_threaded
 from fuzzycnc_ros.papers.thermal import ALL_CONTENDERS
@@ -152,8 +153,10 @@ def each_machine(
 
 
 @single_threaded
-def train_machine(piece: MachineBags, *, options: Mapping[str, Any]) -> OfMachine:
-    """Train the model of a machine; options are those of `train_model`.
+def train_machine(
+    piece: MachineBags, *, options: Mapping[str, Any], sensor_limits: Sequence[str] = ()
+) -> OfMachine:
+    """Train the model of a machine; options as in `train_model`, limits as in `read_run`.
 
     Returns
     -------
@@ -162,7 +165,7 @@ def train_machine(piece: MachineBags, *, options: Mapping[str, Any]) -> OfMachin
         `uncompensated_rms_um` by channel.
     """
     with one_at_a_time:
-        runs, problems = _runs(piece, options['interval'])
+        runs, problems = _runs(piece, options['interval'], sensor_limits)
         try:
             model = train_model(runs, **options) if runs else None
         except ValueError as error:
@@ -181,8 +184,10 @@ def train_machine(piece: MachineBags, *, options: Mapping[str, Any]) -> OfMachin
 
 
 @single_threaded
-def compare_machine(piece: MachineBags, *, options: Mapping[str, Any]) -> OfMachine:
-    """Hold each run of a machine out in turn; options are those of `judge`.
+def compare_machine(
+    piece: MachineBags, *, options: Mapping[str, Any], sensor_limits: Sequence[str] = ()
+) -> OfMachine:
+    """Hold each run of a machine out in turn; options as in `judge`, limits as in `read_run`.
 
     Returns
     -------
@@ -190,10 +195,12 @@ def compare_machine(piece: MachineBags, *, options: Mapping[str, Any]) -> OfMach
         `result`: what `comparison_document` returns.
     """
     with one_at_a_time:
-        runs, problems = _runs(piece, options['interval'])
+        runs, problems = _runs(piece, options['interval'], sensor_limits)
         held_out: list[HeldOut] = []
         try:
-            parts = splits(runs, (), options['interval']) if runs else ()
+            interval = training_interval(runs, options['interval']) if runs else None
+            parts = splits(runs, (), interval) if runs else ()
+            options = {**options, 'interval': interval}
         except ValueError as error:
             return _failed(piece, runs, problems, error)
         for part in parts:
@@ -212,11 +219,20 @@ def _facts(piece: tuple[int, str]) -> Document:
         return {'problem': one_line(error)}
 
 
-def _runs(piece: MachineBags, interval: float) -> tuple[list[ThermalRun], list[Problem]]:
+def _runs(
+    piece: MachineBags, interval: float | None, sensor_limits: Sequence[str]
+) -> tuple[list[ThermalRun], list[Problem]]:
     """Read the runs of a machine; what cannot be used is named."""
     runs, problems = [], []
     for item in piece.runs:
-        read = partial(read_usable, item.path, interval, namespace=item.namespace, name=item.name)
+        read = partial(
+            read_usable,
+            item.path,
+            interval,
+            namespace=item.namespace,
+            name=item.name,
+            sensor_limits=sensor_limits,
+        )
         try:
             runs.append(read())
         except (OSError, ValueError) as error:

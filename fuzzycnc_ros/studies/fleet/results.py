@@ -38,6 +38,8 @@ COLUMNS: dict[str, tuple[str, str]] = {
     'in_domain': (NUMBER, 'Share of the samples in the domain of the training [-].'),
     'covered': (NUMBER, 'Share of the residuals within the band of two standard deviations [-].'),
     'band_um': (NUMBER, 'Root mean square half width of that band [um].'),
+    'independent': (NUMBER, 'How many independent residuals those are as good as [-].'),
+    'band_ratio': (NUMBER, 'Root mean square of the residuals over the deviation [-].'),
     'trained_on': (NUMBER, 'Share of the samples that the model was trained on [-].'),
     'warm': ('texts', 'Inputs of the model that did not start cold.'),
     'sensors': (

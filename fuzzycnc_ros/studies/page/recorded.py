@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 
+from fuzzycnc_ros.bags.csv_time import zone_of
+from fuzzycnc_ros.bags.errors import CsvError
 from fuzzycnc_ros.bags.reader import BagReader
 
 _SHOWN = 3
@@ -33,28 +35,45 @@ def recording_facts(bags: Sequence[Path]) -> dict[str, str]:
     BagError
         If a bag cannot be read.
     """
-    starts, machines = [], []
+    dates, machines = [], []
     for bag in bags:
         with BagReader(bag) as reader:
-            starts.append(reader.start)
+            dates.append(recorded_date(reader.start, recorded_zone(reader)))
             machines += [
                 topic.rpartition('/')[0].strip('/')
                 for topic in reader.connections
                 if topic.endswith('/temperatures')
             ]
-    dates = [date for date in map(recorded_date, starts) if date]
     return {
-        'Recorded': _listed(dates) if dates else 'in machine time, without a date',
+        'Recorded': _listed(dates) or 'in machine time, without a date',
         'Machine': _listed(machines) or 'not named in the bag',
         'Bag': _listed([bag.name for bag in bags]),
     }
 
 
-def recorded_date(start: int) -> str:
-    """Return the date of a stamp [ns], nothing if it counts from the start of a simulation."""
+def recorded_zone(reader: BagReader) -> str:
+    """Return the zone of the clock of a bag, as `fuzzycnc import-csv` wrote it; else nothing."""
+    return reader.metadata.custom.get('time_zone', '') if reader.metadata else ''
+
+
+def recorded_date(start: int, zone: str = '') -> str:
+    """Return the date of a stamp [ns], nothing if it counts from the start of a simulation.
+
+    Parameters
+    ----------
+    start : int
+        The stamp.
+    zone : str
+        Zone of its clock, as `recorded_zone` returns it; UTC where it is not known.
+    """
     if start < _DATED:
         return ''
-    return datetime.fromtimestamp(start // 10**9, timezone.utc).strftime('%Y-%m-%d %H:%M UTC')
+    try:
+        rules = zone_of(zone or 'UTC').rules
+    except CsvError:
+        zone, rules = 'UTC', timezone.utc
+    date = datetime.fromtimestamp(start // 10**9, rules)
+    return f'{date:%Y-%m-%d %H:%M} {zone or "UTC"}'
 
 
 def _listed(names: Sequence[str]) -> str:

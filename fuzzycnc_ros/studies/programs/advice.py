@@ -23,6 +23,7 @@ from fuzzycnc_ros.core.feedrate.gcode.writer import write_program
 from fuzzycnc_ros.core.feedrate.schedule.program_schedule import schedule_program
 from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.simulation.controller.agreement import disagreement
 from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
 from fuzzycnc_ros.simulation.controller.program import (
     PathMode,
@@ -95,11 +96,22 @@ def _without_mode(block: Block) -> str:
 CORNERS = ('none', 'feed', 'split')
 """How corners may be kept: not by feeds, by feeds of blocks, by cutting blocks near them."""
 
-SHARES = (0.5, 0.2, 0.05)
-"""P of G64 that is tried, as shares of the tolerance [-]."""
+SHARES = ((0.5, 0.2), (0.2, 0.2), (0.05, 0.05), (0.5, 0.5))
+"""P and Q of G64 that are tried, as shares of the tolerance [-]."""
+REFINED_MODE = 1
+"""Which of them refined feeds get."""
 
 LADDER = 2.0 ** -(np.arange(31) / 3.0)
 """Accelerations that are tried, as shares of the machine's: three to an octave, down to 1/1024."""
+
+FINER = 2
+"""Times that the step of the ladder between what keeps the aim and what does not is halved."""
+
+SAFE = 0.99
+"""Share of the corrected aim that is aimed at after a run on the real controller [-]."""
+
+AGAIN = 3
+"""Corrections of the aim of a remedy at most."""
 
 NOTICED = 0.01
 """Share of the time that a remedy has to save, so that it takes the place of a cheaper one [-]."""
@@ -129,6 +141,8 @@ class Remedy:
         The program with other feeds or more blocks; None for the one that was given.
     judged : Judged
         On the simulated controller.
+    aim : float
+        Largest contour error that was looked for there [m].
     """
 
     name: str
@@ -136,6 +150,18 @@ class Remedy:
     mode: PathMode | None
     program: str | None
     judged: Judged
+    aim: float
+
+    @property
+    def kept(self) -> bool:
+        """Whether the simulated controller keeps what was aimed at."""
+        return self.judged.error <= self.aim
+
+    def sets_the_same(self, other: Remedy) -> bool:
+        """Whether another remedy asks for the same settings."""
+        return (self.acceleration, self.mode, self.program) == (
+            other.acceleration, other.mode, other.program,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -144,15 +170,17 @@ class Advice:
 
     Attributes
     ----------
-    tolerance : float
-        Largest contour error wanted [m].
+    tolerance, aim : float
+        Largest contour error wanted, and that on the simulated controller, so that the real one
+        keeps the tolerance [m].
     remedies : tuple of Remedy
         The first one is the program as it is.
     best : int
-        Index of the fastest that keeps the tolerance, or of that with the least error.
+        Index of the fastest that keeps the aim, or of that with the least error.
     """
 
     tolerance: float
+    aim: float
     remedies: tuple[Remedy, ...]
     best: int
 
@@ -160,11 +188,6 @@ class Advice:
     def chosen(self) -> Remedy:
         """The remedy that is recommended."""
         return self.remedies[self.best]
-
-    @property
-    def kept(self) -> bool:
-        """Whether it keeps the tolerance."""
-        return self.chosen.judged.error <= self.tolerance
 
 
 class Adviser:
@@ -206,12 +229,20 @@ class Adviser:
         if not 0.0 < tolerance < np.inf:
             raise ValueError(f'tolerance: expected more than 0 m but found {tolerance} m')
         self._program, self._tolerance, self._units = program, tolerance, units
+        self._quickest = np.inf  # time of what keeps the aim so far [s]
+        self._steps: dict[str, Callable[[], Remedy | None]] = {}
         self._limits, self._machine, self._settings = limits, machine, settings
         self._moves = program_moves(program.blocks, before)
         self._path = ProgramPath(self._moves)
+        self._aim = tolerance / disagreement(self._moves.moves)
         self._modes = [
-            PathMode(share * tolerance, min(share, SHARES[1]) * tolerance) for share in SHARES
+            PathMode(rounding * tolerance, merging * tolerance) for rounding, merging in SHARES
         ]
+
+    @property
+    def _refining(self) -> PathMode:
+        """The path mode of refined feeds."""
+        return self._modes[REFINED_MODE]
 
     @property
     def path(self) -> ProgramPath:
@@ -233,7 +264,7 @@ class Adviser:
         """
         if corners not in CORNERS:
             raise ValueError(f'corners: expected {", ".join(CORNERS)} but found {corners}')
-        steps = [
+        steps: list[Callable[[], Remedy | None]] = [
             self._as_it_is, self._by_constant, self._slower, self._other_mode, self._slower_mode,
             self._scheduled, self._scheduled_mix,
         ]  # fmt: skip
@@ -241,20 +272,49 @@ class Adviser:
             steps.append(self._refined)
         if corners == 'split':
             steps.append(self._split)
-        self._quickest = np.inf  # time of what keeps the tolerance so far [s]
         found: list[Remedy] = []
         for number, step in enumerate(steps):
             progress(step.__name__.strip('_').replace('_', ' '), number, len(steps))
-            found += [one for one in step() if one is not None]
-        return Advice(self._tolerance, tuple(found), self._best(found))
+            remedy = step()
+            if remedy is not None:
+                self._steps[remedy.name] = step
+                found.append(remedy)
+        best = best_of([one.judged for one in found], self._aim)
+        return Advice(self._tolerance, self._aim, tuple(found), best)
 
-    def _best(self, found: Sequence[Remedy]) -> int:
-        return best_of([one.judged for one in found], self._tolerance)
+    def lower(self, remedy: Remedy, error: float) -> Remedy | None:
+        """Look again for a remedy that left more than the tolerance on the real controller.
 
-    def _run(self, moves: ProgramMoves, share: float, mode: PathMode | None) -> Judged:
+        Parameters
+        ----------
+        remedy : Remedy
+            One of those that were found.
+        error : float
+            What it left there [m].
+
+        Returns
+        -------
+        Remedy or None
+            For an aim that is as much lower; None if that changes nothing.
+        """
+        usual = self._aim
+        self._aim = SAFE * remedy.judged.error * self._tolerance / error
+        try:
+            found = self._steps[remedy.name]()
+        finally:
+            self._aim = usual
+        return None if found is None or found.sets_the_same(remedy) else found
+
+    def _run(
+        self, moves: ProgramMoves, share: float, mode: PathMode | None, deviation: bool = True
+    ) -> Judged:
         """Judge moves with a share of the acceleration and a path mode."""
         moves = moves if mode is None else with_mode(moves, mode)
-        return self._path.run(moves, self._slowed(share), self._machine)
+        return self._path.run(moves, self._slowed(share), self._machine, deviation)
+
+    def _try(self, moves: ProgramMoves, share: float, mode: PathMode | None) -> Judged:
+        """Judge moves without the deviation of the commands, which takes a third of the time."""
+        return self._run(moves, share, mode, deviation=False)
 
     def _slowed(self, share: float) -> ControllerLimits:
         most = self._limits.acceleration
@@ -265,64 +325,67 @@ class Adviser:
         self, name: str, share: float, mode: PathMode | None, judged: Judged,
         program: str | None = None,
     ) -> Remedy:  # fmt: skip
-        if judged.error <= self._tolerance:
+        if judged.error <= self._aim:
             self._quickest = min(self._quickest, judged.duration)
-        return Remedy(name, self._slowed(share).acceleration, mode, program, judged)
+        rise = self._slowed(share).acceleration
+        return Remedy(name, rise, mode, program, judged, self._aim)
 
-    def _as_it_is(self) -> list[Remedy]:
-        return [self._remedy('as it is', 1.0, None, self._run(self._moves, 1.0, None))]
+    def _as_it_is(self) -> Remedy:
+        return self._remedy('as it is', 1.0, None, self._run(self._moves, 1.0, None))
 
-    def _by_constant(self) -> list[Remedy]:
+    def _by_constant(self) -> Remedy | None:
         """MAX_ACCELERATION = tolerance / C."""
-        share = self._tolerance / self._machine.contour_constant / max(self._limits.acceleration)
+        share = self._aim / self._machine.contour_constant / max(self._limits.acceleration)
         if share >= 1.0:
-            return []
+            return None
         judged = self._run(self._moves, share, None)
-        return [self._remedy('acceleration of tolerance / C', share, None, judged)]
+        return self._remedy('acceleration of tolerance / C', share, None, judged)
 
-    def _slower(self) -> list[Remedy]:
-        share, judged = self._fastest(self._moves, None)
-        return [self._remedy('lower acceleration', share, None, judged)]
+    def _slower(self) -> Remedy:
+        share, _ = self._fastest(self._moves, None)
+        judged = self._run(self._moves, share, None)
+        return self._remedy('lower acceleration', share, None, judged)
 
-    def _other_mode(self) -> list[Remedy]:
-        tried = [(mode, self._run(self._moves, 1.0, mode)) for mode in self._modes]
-        mode, judged = min(tried, key=lambda one: self._order(one[1]))
-        return [self._remedy('path mode', 1.0, mode, judged)]
+    def _other_mode(self) -> Remedy:
+        tried = [(mode, self._try(self._moves, 1.0, mode)) for mode in self._modes]
+        mode, _ = min(tried, key=lambda one: self._order(one[1]))
+        return self._remedy('path mode', 1.0, mode, self._run(self._moves, 1.0, mode))
 
-    def _slower_mode(self) -> list[Remedy]:
+    def _slower_mode(self) -> Remedy:
         tried = [(mode, *self._fastest(self._moves, mode)) for mode in self._modes]
-        mode, share, judged = min(tried, key=lambda one: self._order(one[2]))
-        return [self._remedy('lower acceleration, path mode', share, mode, judged)]
+        mode, share, _ = min(tried, key=lambda one: self._order(one[2]))
+        judged = self._run(self._moves, share, mode)
+        return self._remedy('lower acceleration, path mode', share, mode, judged)
 
-    def _scheduled(self) -> list[Remedy]:
+    def _scheduled(self) -> Remedy:
         moves, text = self._schedule(self._settings)
         judged = self._run(moves, 1.0, None)
-        return [self._remedy('scheduled feeds', 1.0, None, judged, text)]
+        return self._remedy('scheduled feeds', 1.0, None, judged, text)
 
-    def _scheduled_mix(self) -> list[Remedy]:
+    def _scheduled_mix(self) -> Remedy:
         found = []
         for mode in self._modes:
             moves, text = self._schedule(replace(self._settings, blend=mode.rounding))
-            share, judged = self._fastest(moves, mode)
-            name = 'scheduled feeds, lower acceleration, path mode'
-            found.append(self._remedy(name, share, mode, judged, text))
-        return [min(found, key=lambda one: self._order(one.judged))]
+            found.append((*self._fastest(moves, mode), moves, mode, text))
+        share, _, moves, mode, text = min(found, key=lambda one: self._order(one[1]))
+        judged = self._run(moves, share, mode)
+        name = 'scheduled feeds, lower acceleration, path mode'
+        return self._remedy(name, share, mode, judged, text)
 
-    def _refined(self) -> list[Remedy]:
-        return [self._refine('feeds refined for corners', self._program)]
+    def _refined(self) -> Remedy:
+        return self._refine('feeds refined for corners', self._program)
 
-    def _split(self) -> list[Remedy]:
-        mode = self._modes[1]
-        moves = with_mode(self._moves, mode)
-        cuts = cuts_near_errors(self._path, moves, self._tolerance, self._limits, self._machine)
+    def _split(self) -> Remedy:
+        moves = with_mode(self._moves, self._refining)
+        cuts = cuts_near_errors(self._path, moves, self._aim, self._limits, self._machine)
         text = split_program(self._program, cuts)
         program = read_program(text, self._units)
         check_same_path(self._program, program)
-        return [self._refine('blocks cut near corners, feeds refined', program)]
+        return self._refine('blocks cut near corners, feeds refined', program)
 
     def _refine(self, name: str, program: Program) -> Remedy:
         """Return a program with the feeds that were found best, with the best acceleration."""
-        mode = self._modes[1]
+        mode = self._refining
         moves = with_mode(program_moves(program.blocks), mode)
         path = ProgramPath(moves)
         found: list[Remedy] = []
@@ -332,7 +395,7 @@ class Adviser:
                 known = refine(
                     path,
                     moves,
-                    aim * self._tolerance,
+                    aim * self._aim,
                     limits,
                     self._machine,
                     longest=LOST * self._quickest,
@@ -342,7 +405,7 @@ class Adviser:
                 written = with_mode(program_moves(read_program(text, self._units).blocks), mode)
                 judged = self._path.run(written, limits, self._machine)
                 found.append(self._remedy(name, share, mode, judged, text))
-                if judged.error <= self._tolerance:
+                if found[-1].kept:
                     break
         return min(found, key=lambda one: self._order(one.judged))
 
@@ -368,27 +431,37 @@ class Adviser:
         return write_program(program, np.where(feeds < least, least, feeds))
 
     def _fastest(self, moves: ProgramMoves, mode: PathMode | None) -> tuple[float, Judged]:
-        """Return the largest acceleration that keeps the tolerance, of a ladder, by halving."""
-        low, high = 0, len(LADDER) - 1
-        best = 1.0, self._run(moves, 1.0, mode)
-        if best[1].error <= self._tolerance:
+        """Return the largest acceleration that keeps the aim, of a ladder and in between."""
+        best = 1.0, self._try(moves, 1.0, mode)
+        if best[1].error <= self._aim:
             return best
+
+        def kept(share: float) -> bool:
+            nonlocal best
+            judged = self._try(moves, share, mode)
+            if self._order(judged) < self._order(best[1]):
+                best = share, judged
+            return judged.error <= self._aim
+
+        low, high = 0, len(LADDER)
         while low < high:
             middle = (low + high) // 2
-            judged = self._run(moves, float(LADDER[middle]), mode)
-            if self._order(judged) < self._order(best[1]):
-                best = float(LADDER[middle]), judged
-            if judged.error <= self._tolerance:
+            if kept(float(LADDER[middle])):
                 high = middle
             else:
                 low = middle + 1
-        judged = self._run(moves, float(LADDER[low]), mode)
-        if self._order(judged) < self._order(best[1]):
-            best = float(LADDER[low]), judged
+        if 0 < low < len(LADDER):
+            beyond, within = float(LADDER[low - 1]), float(LADDER[low])
+            for _ in range(FINER):
+                middle_share = float(np.sqrt(beyond * within))
+                if kept(middle_share):
+                    within = middle_share
+                else:
+                    beyond = middle_share
         return best
 
     def _order(self, judged: Judged) -> tuple[bool, float]:
-        kept = judged.error <= self._tolerance
+        kept = judged.error <= self._aim
         return not kept, judged.duration if kept else judged.error
 
 
@@ -409,6 +482,53 @@ def best_of(judged: Sequence[Judged], tolerance: float) -> int:
         return min(range(len(judged)), key=lambda index: judged[index].error)
     least = min(judged[index].duration for index in kept)
     return next(index for index in kept if judged[index].duration <= (1.0 + NOTICED) * least)
+
+
+def with_lower_aims(
+    advice: Advice, adviser: Adviser, run: Callable[[Remedy, int], Judged]
+) -> tuple[Advice, list[Judged]]:
+    """Run remedies on the real controller, and those that leave too much with a lower aim again.
+
+    What could be the fastest that keeps the tolerance gets up to `AGAIN` corrections.
+
+    Parameters
+    ----------
+    advice : Advice
+        What was found on the simulated controller.
+    adviser : Adviser
+        What found it.
+    run : callable
+        Runs a remedy; is told which it is by its number, counted on with those that follow.
+
+    Returns
+    -------
+    Advice
+        With the remedies as they ran last.
+    list of Judged
+        What they did on the real controller.
+    """
+    remedies = list(advice.remedies)
+    measured = [run(remedy, number) for number, remedy in enumerate(remedies)]
+    runs = len(remedies)
+    left = {index: AGAIN for index, remedy in enumerate(remedies) if remedy.kept}
+    while True:
+        kept = [one.duration for one in measured if one.error <= advice.tolerance]
+        open_yet = [
+            index
+            for index, more in left.items()
+            if more and measured[index].error > advice.tolerance
+            and measured[index].duration < min(kept, default=np.inf)
+        ]  # fmt: skip
+        if not open_yet:
+            return replace(advice, remedies=tuple(remedies)), measured
+        index = min(open_yet, key=lambda one: measured[one].duration)
+        lower = adviser.lower(remedies[index], measured[index].error)
+        left[index] -= 1
+        if lower is None:
+            left[index] = 0
+            continue
+        remedies[index], measured[index] = lower, run(lower, runs)
+        runs += 1
 
 
 def advised_program(program: Program, remedy: Remedy, units: str = 'mm') -> str:

@@ -29,6 +29,7 @@ from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
 from fuzzycnc_ros.simulation.controller.program import (
     PathMode,
+    ProgramMoves,
     program_moves,
     with_mode,
 )
@@ -320,6 +321,21 @@ def _contour(geometry: PathGeometry) -> Contour:
     return Contour.polyline(points, vertices=2)
 
 
+def _with_corners(moves: ProgramMoves, settings: ProgramSettings) -> ProgramMoves:
+    """Return a program that passes corners as it was scheduled for."""
+    found = with_mode(moves, PathMode(settings.blend, settings.blend))
+    if not settings.own_corners:
+        return found
+    own = moves.moves
+    said = ~np.isinf(own.rounding)  # infinite: G64 without P, or nothing was said
+    changed = replace(
+        found.moves,
+        rounding=np.where(said, own.rounding, found.moves.rounding),
+        merging=np.where(said, own.merging, found.moves.merging),
+    )
+    return replace(found, moves=changed)
+
+
 LONGEST = 600.0
 """Motion beyond which lines are not driven [s]."""
 
@@ -347,15 +363,15 @@ def drive_words(
 
     Notes
     -----
-    Corners are passed as the settings say, whatever path mode the program asks for, so that both
-    are compared under what the schedule was made for.
+    Corners are passed as the schedule was made for: as the settings say, or the program where
+    its own words count.
     """
     lines = [block for block, _ in blocks]
     try:
         moves = program_moves(lines)
     except ValueError:  # nothing of it moves
         return None, None
-    moves = with_mode(moves, PathMode(settings.blend, settings.blend))
+    moves = _with_corners(moves, settings)
     rest = np.maximum(moves.moves.rest, settings.settle)
     moves = replace(moves, moves=replace(moves.moves, rest=rest))
     feeds = np.array(
@@ -369,9 +385,13 @@ def drive_words(
         path_velocity=float(path),
         period=machine.interpolation_period,
     )
+    driven = (moves, moves.with_feeds(feeds))
+    least = [float((one.moves.length / np.minimum(one.moves.feed, path)).sum()) for one in driven]
+    if min(least) > LONGEST:
+        return None, None
     judge = ProgramPath(moves)
-    found: list[Judged | None] = []
-    for one in (moves, moves.with_feeds(feeds)):
-        least = float((one.moves.length / np.minimum(one.moves.feed, path)).sum())
-        found.append(None if least > LONGEST else judge.run(one, limits, machine))
+    found = [
+        judge.run(one, limits, machine) if time <= LONGEST else None
+        for one, time in zip(driven, least, strict=True)
+    ]
     return found[0], found[1]

@@ -46,6 +46,9 @@ steps so far have led [m]."""
 _STEP, _EVERY = 1e-5, 8
 """Way of the commands after which a sample is measured [m], and samples after which one is."""
 
+_PEAKS = 32
+"""Largest errors beside which every sample is measured: a corner's peak is shorter than a step."""
+
 
 @dataclass(frozen=True)
 class Judged:
@@ -210,7 +213,11 @@ class ProgramPath:
         return [Commanded(cut, place, period * (len(cut) - 1))]
 
     def run(
-        self, moves: ProgramMoves, limits: ControllerLimits, machine: ContouringConfig
+        self,
+        moves: ProgramMoves,
+        limits: ControllerLimits,
+        machine: ContouringConfig,
+        deviation: bool = True,
     ) -> Judged:
         """Simulate a program of the same path on a controller, and judge it.
 
@@ -222,8 +229,11 @@ class ProgramPath:
             Of the controller.
         machine : ContouringConfig
             Lags of the axes.
+        deviation : bool
+            Whether the commands are measured too; 0 without.
         """
-        return self.judge(simulate(moves, limits), machine)
+        commanded = simulate(moves, limits)
+        return self._figures(self._courses(commanded, machine, asked=deviation), commanded)
 
 
 def _time(commanded: Sequence[Commanded]) -> float:
@@ -254,12 +264,19 @@ def _course(
         (np.diff(np.floor(delayed / _STEP), prepend=-1.0) > 0.0) | (index % _EVERY == 0)
     )
     error = contour.distance(axes[kept], delayed[kept], reach)
+    edge = run.place[:, 1] - begin
+    move = np.clip(np.searchsorted(edge, error.arc_length), 0, len(run) - 1)
+    beside = _beside_peaks(kept, np.where(run.rapid[move], 0.0, error.distance))
+    more = contour.distance(axes[beside], delayed[beside], reach)
+    order = np.argsort(np.append(kept, beside))
+    kept = np.append(kept, beside)[order]
+    distance = np.append(error.distance, more.distance)[order]
+    nearest = np.append(error.arc_length, more.arc_length)[order]
     deviation = np.zeros(len(kept))
     if asked:
         rows = kept[kept < len(one.place)]
         deviation[: len(rows)] = contour.distance(one.position[rows], place[rows], reach).distance
-    edge = run.place[:, 1] - begin
-    move = np.clip(np.searchsorted(edge, error.arc_length), 0, len(run) - 1)
+    move = np.clip(np.searchsorted(edge, nearest), 0, len(run) - 1)
     at = np.append(0.0, edge[(turns(run) > CORNER) | run.stop])
     passed = np.searchsorted(place, at - 1e-9)
     last = np.searchsorted(passed, kept, 'right') - 1
@@ -268,13 +285,22 @@ def _course(
     near = (since < AFTER_CORNER * machine.delay / period) | (coming < machine.delay / period)
     return _Course(
         np.diff(kept, append=len(place)).astype(float),
-        error.distance,
+        distance,
         deviation,
         near,
         move,
-        begin + error.arc_length,
+        begin + nearest,
         np.interp(kept - machine.delay / period, index, pace),
     )
+
+
+def _beside_peaks(kept: NDArray[np.intp], error: Array) -> NDArray[np.intp]:
+    """Return the samples that were left out on both sides of those with the largest errors."""
+    most = np.argsort(error)[-_PEAKS:]
+    low = kept[np.maximum(most - 1, 0)]
+    high = kept[np.minimum(most + 1, len(kept) - 1)]
+    beside = [np.arange(begin, end) for begin, end in zip(low, high, strict=True)]
+    return np.setdiff1d(np.concatenate(beside), kept)
 
 
 def _tracked(run: Moves, contour: Contour, position: Array) -> Array:

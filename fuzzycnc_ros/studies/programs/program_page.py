@@ -69,6 +69,8 @@ class ScheduleFigures:
         they were not driven.
     stretch : str
         Which lines these are.
+    corners : sequence of float
+        How far corners were rounded off by the program's own words [m].
     """
 
     program: str
@@ -82,6 +84,18 @@ class ScheduleFigures:
     driven_before: Judged | None = None
     driven: Judged | None = None
     stretch: str = 'the whole program'
+    corners: Sequence[float] = ()
+
+    @property
+    def corner_text(self) -> str:
+        """How corners are passed, and who says so."""
+        if not self.corners:
+            return _corners(self.settings.blend)
+        low, high = min(self.corners), max(self.corners)
+        text = _corners(high)
+        if 0.0 < low < high:
+            text = f'rounded by up to {millimetres(low)} to {millimetres(high)} mm'
+        return f'{text}, as the program says (G64 P, G61)'
 
     @property
     def unchanged(self) -> bool:
@@ -126,10 +140,12 @@ class ScheduleFigures:
             )
         if times.untimed:
             lines.append(
-                f'left out of both: {times.untimed:,} motions whose time the program does not tell'
+                f'left out of both times: {times.untimed:,} motions, cycles or calls whose time '
+                'the program does not tell; the notes say which'
             )
         if times.stops:
-            where = 'corners within a run' if settings.blend == 0.0 else 'what cannot be blended'
+            stopped = settings.blend == 0.0 and not any(self.corners)
+            where = 'corners within a run' if stopped else 'what cannot be blended'
             lines.append(
                 f'exact stops: {times.stops:,}, at the ends of runs and at {where}; what they '
                 'leave as error depends on acceleration and rest, not on the feed'
@@ -204,10 +220,12 @@ def schedule_table(figures: ScheduleFigures) -> Table:
         bound = speed(settings.feed)
     title = (
         f'{figures.program}: tolerance {millimetres(figures.tolerance)} mm, corners '
-        f'{_corners(settings.blend)}, at most {bound}'
+        f'{figures.corner_text}, at most {bound}'
     )
     if settings.override != 1.0:
         title += f', override {100.0 * settings.override:g} %'
+    if times.untimed:
+        title += f'; {times.untimed:,} motions left out of the times'
     warning = frozenset() if figures.kept else frozenset({(1, len(columns) - 1)})
     return Table(
         title, columns, tuple(rows), warning=warning, warning_means='the tolerance is not kept'
@@ -220,7 +238,8 @@ def schedule_document(figures: ScheduleFigures) -> dict[str, Any]:
     Returns
     -------
     dict
-        `program`, `method`, `settings` (SI), `times` as in `ProgramTimes` (SI), `driven` (SI),
+        `program`, `method`, `settings` (SI; `own_corners` is what G64 P and G61 of the program
+        say, where they count), `times` as in `ProgramTimes` (SI), `driven` (SI),
         `driven_stretch`, `tolerance_kept`, `feed_words` and `notes`.
     """
     settings = figures.settings
@@ -230,6 +249,7 @@ def schedule_document(figures: ScheduleFigures) -> dict[str, Any]:
         'settings': {
             'tolerance': figures.tolerance,
             'blend': settings.blend,
+            'own_corners': sorted(figures.corners),
             'feed': settings.feed,
             'override': settings.override,
             'feed_step': settings.feed_step,
@@ -308,16 +328,21 @@ def schedule_page(
     """
     name = figures.method
     label = LABELS.get(name, name)
-    path = Figure(
-        'The path by feed',
-        'The feed that each block asks for; starts, stops and braking come on top. '
-        + (
-            f'Thinned out: each edge stands for up to {trace.stride} blocks or pieces of arcs.'
-            if trace.stride > 1
-            else 'Rapids and blocks that keep their feed are left out.'
-        ),
-        path_picture(trace),
-    )
+    drawn: list[Figure] = []
+    if len(trace.edges[1]):
+        drawn.append(
+            Figure(
+                'The path by feed',
+                'The feed that each block asks for; starts, stops and braking come on top. '
+                + (
+                    f'Thinned out: each edge stands for up to {trace.stride} blocks or pieces of '
+                    'arcs.'
+                    if trace.stride > 1
+                    else 'Rapids and blocks that keep their feed are left out.'
+                ),
+                path_picture(trace),
+            )
+        )
     sections = [
         Section(
             'Times within the limits of the machine',
@@ -328,7 +353,7 @@ def schedule_page(
                 'The bound is no forecast: bends shorter than the machine reacts, such as rounded '
                 'corners, leave less.',
             ],
-            figures=[path],
+            figures=drawn,
         ),
         _methods_section(figures, found, stretch, name, label),
     ]

@@ -63,8 +63,8 @@ def seconds(value: float) -> str:
     return f'{value:.3f}' if isfinite(value) else '-'
 
 
-def positioning_table(run: PositioningRun, name: str, title: str) -> Table:
-    """Return the figures of a move."""
+def positioning_table(run: PositioningRun, label: str, title: str) -> Table:
+    """Return the figures of a move under a controller, as people call it."""
     since = STEADY_SHARE * _length(run)
     columns = (
         Column('Controller', numeric=False),
@@ -74,7 +74,7 @@ def positioning_table(run: PositioningRun, name: str, title: str) -> Table:
         Column('largest duty [%]'),
     )
     row = (
-        LABELS[name],
+        label,
         seconds(run.settle(TOLERANCE)),
         microns(run.overshoot),
         microns(run.steady_error(since)),
@@ -127,9 +127,9 @@ def positioning_document(
 
 
 def positioning_page(
-    run: PositioningRun, name: str, table: Table, facts: Mapping[str, str]
+    run: PositioningRun, label: str, table: Table, facts: Mapping[str, str]
 ) -> Page:
-    """Return the page of a move."""
+    """Return the page of a move under a controller, as people call it."""
     course = Figure(
         'Position, error and duty over time',
         'Error: reference less true position; linear within the band of 2 µm that counts as '
@@ -139,7 +139,7 @@ def positioning_page(
     )
     return Page(
         title='One move of an axis',
-        summary=f'{LABELS[name][0].upper()}{LABELS[name][1:]}: simulated axis, true positions.',
+        summary=f'{label[0].upper()}{label[1:]}: simulated axis, true positions.',
         sections=[
             Section('Figures', tables=[table], remarks=positioning_remarks(run)),
             Section('Course', figures=[course]),

@@ -22,6 +22,7 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
     ServoControllerConfig,
     profile_limits,
 )
+from fuzzycnc_ros.core.remedies import RemediedError, Remedy
 from fuzzycnc_ros.core.servo.profile import point_to_point
 from fuzzycnc_ros.runtime.convert import decode
 from fuzzycnc_ros.runtime.enums import ServoStatus
@@ -319,15 +320,13 @@ def _configuration(path: Path, seen: dict[str, list[Any]]) -> ServoControllerCon
 
 def _axis(path: Path, axis: str | None, known: set[str]) -> str:
     """Return the axis that is meant."""
-    if axis is not None and axis not in known:
-        raise ValueError(
-            f'--name: expected one of the driven axes {", ".join(sorted(known)) or "(none)"} of '
-            f'{path} but found {axis!r}'
-        )
-    if axis is None and len(known) != 1:
-        raise ValueError(
-            f'--name: expected one of the driven axes {", ".join(sorted(known)) or "(none)"} of '
-            f'{path} but found none named'
+    if axis not in known and not (axis is None and len(known) == 1):
+        names = sorted(known)
+        found = 'none named' if axis is None else repr(axis)
+        raise RemediedError(
+            f'axis: expected one of the driven axes {", ".join(names) or "(none)"} of {path} but '
+            f'found {found}',
+            *(Remedy(f'name {name}', {'name': name}) for name in names[:1]),
         )
     return axis if axis is not None else next(iter(known))
 

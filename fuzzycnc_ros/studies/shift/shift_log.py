@@ -15,6 +15,7 @@ from fuzzycnc_ros.components.thermal.sensor_substitution import RiseSource
 from fuzzycnc_ros.core.thermal.candidate import DEFAULT, UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
+from fuzzycnc_ros.core.thermal.sensor_limits import JUDGED
 from fuzzycnc_ros.runtime.enums import Status
 from fuzzycnc_ros.runtime.records import (
     SECOND,
@@ -88,6 +89,7 @@ class ShiftLog(RecordLog):
             axis=moved[0].axis,
             displacement=_at_stamps(samples, moved, 'displacement', len(moved[0].channel)),
             spindle_speed=self.spindle_speed(samples, start, stop),
+            limits=JUDGED,
         )
 
     def spindle_speed(

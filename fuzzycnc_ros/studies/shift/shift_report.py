@@ -7,14 +7,27 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from fuzzycnc_ros.core.names import text_hash
+from fuzzycnc_ros.core.thermal.band import (
+    WIDTH,
+    band_ratio,
+    coverage,
+    independent_residuals,
+    mean_of_square,
+)
 from fuzzycnc_ros.core.thermal.candidate import DEFAULT, UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.fingerprint import recognised_in
 from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.run import ThermalRun
+from fuzzycnc_ros.core.thermal.sensor_limits import JUDGED
 from fuzzycnc_ros.studies.page.html import Remark, Section
 from fuzzycnc_ros.studies.thermal.comparison import by_channel
-from fuzzycnc_ros.studies.thermal.judged import loss_remarks, span_text, training_remark
+from fuzzycnc_ros.studies.thermal.judged import (
+    band_remark,
+    loss_remarks,
+    span_text,
+    training_remark,
+)
 from fuzzycnc_ros.studies.thermal.report_data import (
     CompensationRun,
     Latency,
@@ -113,10 +126,29 @@ def judged_remarks(run: CompensationRun, model: ThermalModel) -> list[Remark]:
         )
     }
     return [
+        *_false_band(run),
         Remark(window),
         training_remark(run.name, trained_on, recognised, model.runs),
         *loss_remarks(run.name, run.channel, left),
     ]
+
+
+def _false_band(run: CompensationRun) -> list[Remark]:
+    """Return that the band of what was predicted is false, nothing if it is not."""
+    if run.standard_deviation is None:
+        return []
+    residual = run.measured - run.prediction()
+    deviation = np.where(np.isfinite(residual), run.standard_deviation, np.nan)
+    residual = np.where(np.isfinite(deviation), residual, np.nan)
+    found = band_remark(
+        run.name,
+        run.channel,
+        coverage(residual, deviation),
+        WIDTH * np.sqrt(mean_of_square(deviation)),
+        band_ratio(residual, deviation),
+        independent_residuals(residual, deviation),
+    )
+    return [found] if found.warning else []
 
 
 def _span(run: CompensationRun) -> str:
@@ -133,6 +165,7 @@ def _recorded(run: CompensationRun, axis: Sequence[str]) -> ThermalRun:
         axis=tuple(axis),
         displacement=run.measured,
         spindle_speed=run.spindle_speed,
+        limits=JUDGED,
     )
 
 

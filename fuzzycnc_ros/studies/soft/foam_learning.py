@@ -11,11 +11,18 @@ from typing import Any
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.deformation.believed_deviation import (
+    BelievedDeviation,
+    believed_deviation,
+)
 from fuzzycnc_ros.core.deformation.compensation import CompensatedPath, learn_offsets
 from fuzzycnc_ros.core.deformation.model import GAIN_MAX, GAIN_MIN, DeformationModel
 from fuzzycnc_ros.core.deformation.offset_file import SAME_POINT, StitchOffsets
 from fuzzycnc_ros.core.deformation.samples import RecordedPath
 from fuzzycnc_ros.studies.soft.foam_records import Samples
+
+NAMED = 10
+"""Outliers that are named one by one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +39,10 @@ class Learnt:
         Distance of the stitches, means of the runs, from their places [m].
     limited : int
         Steps at which a limit was at work on the new offsets.
+    believed : BelievedDeviation
+        What of the deviation will come again.
+    outliers : tuple of str
+        Stitches that were left out.
     """
 
     offsets: StitchOffsets
@@ -39,6 +50,8 @@ class Learnt:
     rms_deviation: float
     max_deviation: float
     limited: int
+    believed: BelievedDeviation
+    outliers: tuple[str, ...]
 
     @property
     def largest(self) -> float:
@@ -53,6 +66,31 @@ class Learnt:
             f'{1e3 * self.max_deviation:.3f} mm at most; largest new offset '
             f'{1e3 * self.largest:.3f} mm'
         ]
+        lines += self.doubts()
+        if self.believed.corrects and self.believed.reach:
+            lines.append(
+                f'smoothed over {self.believed.reach} stitches to either side, which leaves '
+                f'{1e3 * self.believed.error:.3f} mm of held-out ones instead of '
+                f'{1e3 * self.believed.error_none:.3f} mm'
+            )
+        return lines
+
+    def doubts(self) -> list[str]:
+        """Return what of it may surprise."""
+        lines = []
+        error, none = 1e3 * self.believed.error, 1e3 * self.believed.error_none
+        if self.outliers:
+            more = len(self.outliers) - NAMED
+            lines.append(
+                f'left out: {len(self.outliers)} stitches that lie far off their neighbours: '
+                f'{", ".join(self.outliers[:NAMED])}{f" and {more} more" if more > 0 else ""}'
+            )
+        if not self.believed.corrects:
+            lines.append(
+                'no correction: held-out stitches show no deformation beyond chance '
+                f'({error:.3f} mm off with one, {none:.3f} mm without); the offsets stay as they '
+                'were'
+            )
         if self.limited:
             lines.append(f'note: {self.limited} steps are limited; the track is not learnt there')
         return lines
@@ -67,11 +105,18 @@ class Learnt:
             'max_deviation': self.max_deviation,
             'largest_offset': self.largest,
             'limited': self.limited,
+            'corrects': self.believed.corrects,
+            'smoothed_over': self.believed.reach,
+            'held_out_error': self.believed.error,
+            'held_out_error_without': self.believed.error_none,
+            'outliers': self.outliers,
         }
 
 
 def learn_track(paths: Sequence[RecordedPath], path_id: str | None, gain: float) -> Learnt:
     """Return the offsets of the next cycle of one track.
+
+    Only the deviation that will come again is taken away, see `believed_deviation`.
 
     Parameters
     ----------
@@ -90,12 +135,12 @@ def learn_track(paths: Sequence[RecordedPath], path_id: str | None, gain: float)
     known = sorted({path.path_id for path in paths})
     if path_id is not None and path_id not in known:
         raise ValueError(
-            f'--path: expected one of the stitched paths {", ".join(known)} but found {path_id!r}'
+            f'path: expected one of the stitched paths {", ".join(known)} but found {path_id!r}'
         )
     if path_id is None and len(known) > 1:
         raise ValueError(
             f'{_other(paths).source}: expected runs of one track but found '
-            f'{", ".join(known)}; choose one by --path'
+            f'{", ".join(known)}; choose one path'
         )
     runs = [path for path in paths if path_id is None or path.path_id == path_id]
     first = runs[0]
@@ -107,7 +152,12 @@ def learn_track(paths: Sequence[RecordedPath], path_id: str | None, gain: float)
     commanded = CompensatedPath(
         first.nominal, first.offset, before.compensation, before.support, before.flag
     )
-    after = learn_offsets(commanded, stitched, gain=gain, size=first.material.size)
+    believed = believed_deviation(first.nominal, stitched, first.primitive)
+    after = commanded
+    if believed.corrects:
+        after = learn_offsets(
+            commanded, first.nominal - believed.deviation, gain=gain, size=first.material.size
+        )
     deviation = np.hypot(*(stitched.mean(axis=0) - first.nominal).T)
     return Learnt(
         StitchOffsets(track.path_id, track.material, track.nominal, after.offset),
@@ -115,6 +165,11 @@ def learn_track(paths: Sequence[RecordedPath], path_id: str | None, gain: float)
         float(np.sqrt(np.mean(deviation**2))),
         float(deviation.max()),
         int((after.flag != 0).sum()),
+        believed,
+        tuple(
+            f'{runs[run].source}: stitch {point + 1}'
+            for run, point in np.argwhere(believed.outlier).tolist()
+        ),
     )
 
 
@@ -203,7 +258,8 @@ def fit_gains(model: DeformationModel, samples: Samples) -> GainFit:
     ValueError
         If the model is for none of the samples.
     """
-    # The foot of a compensated side goes a few degrees beside the direction of the pattern.
+    # The foot of a compensated side goes a few degrees beside the direction of the pattern.  It
+    # is cut in its half of the full turn, so that the sign of its compensation stays.
     cut = model.clip(samples.x)
     turned = np.abs(cut[:, 0] - samples.x[:, 0]) <= TURN_MAX
     known = turned & np.isclose(cut[:, 1:], samples.x[:, 1:]).all(axis=1) & model.accepts(cut)

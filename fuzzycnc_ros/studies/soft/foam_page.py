@@ -243,14 +243,20 @@ def training_table(found: FoamTraining) -> Table:
         *(Column(f'{1e3 * thickness:g} mm thick') for thickness in thicknesses),
     )
     rows = [
-        (item.name, f'{item.rms:.3f}', *(f'{item.by_thickness[t]:.3f}' for t in thicknesses))
-        for item in found.errors
+        (
+            f'{item.name}, in use' if place == found.used else item.name,
+            f'{item.rms:.3f}',
+            *(f'{item.by_thickness[t]:.3f}' for t in thicknesses),
+        )
+        for place, item in enumerate(found.errors)
     ]
     title = (
         f'Error on held-out samples, rms of both axes [mm per 50 mm]; {found.folds} parts, '
         f'{found.groups} groups'
     )
-    return Table(title, columns, tuple(rows), highlight=frozenset({0}), highlight_means='in use')
+    return Table(
+        title, columns, tuple(rows), highlight=frozenset({found.used}), highlight_means='in use'
+    )
 
 
 def coverage_table(found: FoamTraining) -> Table:
@@ -296,7 +302,7 @@ def training_document(found: FoamTraining) -> dict[str, Any]:
 
 def training_page(found: FoamTraining, lines: Sequence[str], facts: Mapping[str, str]) -> Page:
     """Return the page of a training."""
-    used = found.errors[0]
+    used = found.errors[found.used]
     return Page(
         title='Model of feed compensation',
         summary=f'{used.name}: {used.rms:.3f} mm per 50 mm of feed on samples that it was not '

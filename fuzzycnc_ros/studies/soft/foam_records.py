@@ -12,7 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fuzzycnc_ros.core.deformation.features import check_process_values
+from fuzzycnc_ros.core.arrays import check_matrix
+from fuzzycnc_ros.core.deformation.features import (
+    PROCESS_VALUES,
+    check_process_values,
+    folded_samples,
+)
 from fuzzycnc_ros.core.deformation.samples import RecordedPath, joined_groups, samples_of_paths
 from fuzzycnc_ros.core.deformation.stitch_path import ARC, LINE, SheetMaterial
 from fuzzycnc_ros.core.deformation.training import equal_rows
@@ -20,7 +25,7 @@ from fuzzycnc_ros.runtime.enums import PrimitiveKind
 from fuzzycnc_ros.studies.number_table import read_numbers
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from fuzzycnc_ros.core.arrays import Array
     from fuzzycnc_ros.runtime.records import CompensatedPath, Material, StitchedPath
@@ -155,6 +160,73 @@ def _add(
     )
 
 
+CLOSEST, FARTHEST = 1e-4, 0.1
+"""Spacing of stitches that is likely [m]."""
+APART = 0.05
+"""Largest likely distance of a stitch from its commanded place [m]."""
+
+
+def recorded_run(
+    commanded: Array,
+    stitched: Array,
+    offset: Array,
+    *,
+    path_id: str,
+    material: SheetMaterial,
+    source: str,
+    places: Sequence[str],
+) -> RecordedPath:
+    """Return a run of a track from its points, shape (n + 1, 2) [m].
+
+    Parameters
+    ----------
+    commanded, stitched, offset : ndarray, shape (n + 1, 2)
+        Commanded points with their offsets, where the stitches lie, and the offsets [m].
+    path_id : str
+        Name of the track.
+    material : SheetMaterial
+        The sheet.
+    source : str
+        Where the run is from, for messages.
+    places : sequence of str
+        Where each point is from.
+
+    Raises
+    ------
+    ValueError
+        If there are no two points, or they do not lie as stitches do.
+    """
+    if len(commanded) < 2:
+        raise ValueError(f'{source}: expected two points or more but found {len(commanded)}')
+    apart = np.hypot(*(stitched - commanded).T)
+    if apart.max() > APART:
+        raise ValueError(
+            f'{source}: {places[int(apart.argmax())]}: expected a stitch within '
+            f'{1e3 * APART:g} mm of its place but found it {1e3 * apart.max():.4g} mm away; '
+            'compare units and origin of both'
+        )
+    spacing = float(np.median(np.hypot(*np.diff(commanded, axis=0).T)))
+    if not CLOSEST < spacing < FARTHEST:
+        raise ValueError(
+            f'{source}: expected stitches {1e3 * CLOSEST:g} to {1e3 * FARTHEST:g} mm apart but '
+            f'found them {1e3 * spacing:.3g} mm apart; are lengths millimetres, or metres?'
+        )
+    steps = len(commanded) - 1
+    return RecordedPath(
+        path_id=path_id,
+        material=material,
+        nominal=commanded - offset,
+        offset=offset,
+        stitched=stitched,
+        primitive=np.zeros(steps, np.int64),
+        kind=np.full(steps, float(LINE)),
+        turn=np.zeros(steps),
+        depth=np.zeros(steps),
+        step=np.zeros(steps),
+        source=source,
+    )
+
+
 def _points(values: Array) -> Array:
     return np.asarray(values, dtype=np.float64).reshape(-1, 2)
 
@@ -185,12 +257,15 @@ class Samples:
         Samples that must not be torn apart between training and judgement.
     lines : tuple of str
         Where they are from, and what was left out.
+    where : tuple of str
+        Where each one is from.
     """
 
     x: Array
     s: Array
     groups: NDArray[np.int64]
     lines: tuple[str, ...]
+    where: tuple[str, ...]
 
 
 def read_samples(sources: Sequence[Path]) -> Samples:
@@ -214,26 +289,64 @@ def read_samples(sources: Sequence[Path]) -> Samples:
     return _read_csv(tables[0]) if tables else _read_bags(sources)
 
 
+def array_samples(x: ArrayLike, s: ArrayLike, groups: ArrayLike | None = None) -> Samples:
+    """Return samples of arrays, checked like those of a file.
+
+    Parameters
+    ----------
+    x : array_like, shape (k, 5)
+        Process values: direction [deg], feed depth [mm], type (1 arc, 2 line), stitch step [mm],
+        thickness [mm].
+    s : array_like, shape (k, 2)
+        Compensations along X and Y [mm per 50 mm of feed].
+    groups : array_like, shape (k,), optional
+        Sheet of each sample; equal processes belong together without it.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, a value is not finite or none of a primitive, or the lengths are not in
+        millimetres.
+    """
+    rows, needed = np.asarray(x, float), check_matrix(s, 's')
+    if rows.ndim == 2 and rows.shape[1] == len(PROCESS_VALUES) and rows.size:
+        _check_units('x', rows)
+    rows = check_process_values(rows)
+    labels = None if groups is None else np.asarray(groups)
+    if needed.shape != (len(rows), 2) or (labels is not None and labels.shape != (len(rows),)):
+        found = '' if labels is None else f' and groups of {labels.shape}'
+        raise ValueError(
+            f's, groups: expected two compensations and one group for each of {len(rows)} rows '
+            f'of x but found s of {needed.shape}{found}'
+        )
+    rows, needed = folded_samples(rows, needed)
+    group = equal_rows(rows) if labels is None else np.unique(labels, return_inverse=True)[1]
+    where = tuple(f'row {number}' for number in range(len(rows)))
+    return Samples(rows, needed, group, tuple(_doubts(needed)), where)
+
+
 def _read_csv(path: Path) -> Samples:
     found = read_numbers(path, COLUMNS, label=SHEET)
     table = found.values
-    _check_units(path, table)
+    _check_units(str(path), table)
     for number, row in zip(found.lines.tolist(), table[:, :5], strict=True):
         try:
             check_process_values(row[np.newaxis])
         except ValueError as error:
             reason = str(error).removeprefix('x, row 0: ')
             raise ValueError(f'{path}: line {number}: {reason}') from error
+    x, s = folded_samples(table[:, :5], table[:, 5:])
     if found.labels is None:
-        groups, how = equal_rows(table[:, :5]), 'equal process'
+        groups, how = equal_rows(x), 'equal process'
     else:
         _, groups = np.unique(found.labels, return_inverse=True)
         how = 'one sheet'
     said = f'{path}: {len(table)} samples in {len(np.unique(groups))} groups of {how}'
-    return Samples(table[:, :5], table[:, 5:], groups, (said, *_doubts(table[:, 5:])))
+    where = tuple(f'line {number}' for number in found.lines)
+    return Samples(x, s, groups, (said, *_doubts(s)), where)
 
 
-def _check_units(path: Path, table: Array) -> None:
+def _check_units(where: str, table: Array) -> None:
     """Refuse lengths that no soft sheet has in millimetres.
 
     Raises
@@ -250,7 +363,7 @@ def _check_units(path: Path, table: Array) -> None:
             unit, remedy = 'micrometres', 'divide by 1000'
         if unit:
             raise ValueError(
-                f'{path}: {name}: expected millimetres but found {values.min():g} to '
+                f'{where}: {name}: expected millimetres but found {values.min():g} to '
                 f'{values.max():g}, which look like {unit}; {remedy}'
             )
 
@@ -278,7 +391,8 @@ def _read_bags(bags: Sequence[Path]) -> Samples:
             f'{bags[0]}: expected primitives that give samples but found none: '
             f'{", ".join(left_out)}'
         )
-    groups = joined_groups(equal_rows(found.x), found.path)
+    x, s = folded_samples(found.x, found.s)
+    groups = joined_groups(equal_rows(x), found.path)
     fresh = len(found.x) - found.relaxed
     lines = [
         f'{len(recordings.paths)} recorded paths: {fresh} samples from fresh starts, '
@@ -286,4 +400,5 @@ def _read_bags(bags: Sequence[Path]) -> Samples:
         'path or equal process'
     ]
     lines += [f'left out: {count} {reason}' for reason, count in sorted(left_out.items())]
-    return Samples(found.x, found.s, groups, tuple(lines))
+    where = tuple(recordings.paths[number].source for number in found.path)
+    return Samples(x, s, groups, tuple(lines), where)

@@ -6,21 +6,30 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.deformation.features import feature_set, load
+from fuzzycnc_ros.core.deformation.features import direction_doubts, feature_set, load
+from fuzzycnc_ros.core.deformation.model import DeformationModel
 from fuzzycnc_ros.core.deformation.network import (
     TooFewSamplesError,
     TSFuzzyNetwork,
     samples_needed,
 )
+from fuzzycnc_ros.core.deformation.regression import (
+    gaussian_process,
+    no_correction,
+    outlying,
+    ridge_regression,
+)
 from fuzzycnc_ros.core.deformation.training import grouped_folds
 from fuzzycnc_ros.core.threads import single_threaded
+from fuzzycnc_ros.studies.soft.foam_records import Samples
 
 Predictor = Callable[[Array], Array]
 Trainer = Callable[[Array, Array, NDArray[np.int64]], Predictor]
@@ -85,9 +94,11 @@ class FoamTraining:
     needed : ndarray, shape (k, 2)
         Compensations that were needed [mm per 50 mm].
     errors : sequence of MethodErrors
-        Held-out errors, the model in use first.
+        Held-out errors in the order of the rivals.
     folds, groups : int
         Parts that were held out in turn, and groups of samples that were kept together.
+    used : int
+        Place of the model in use among the errors.
     """
 
     coverage: Sequence[Coverage]
@@ -95,6 +106,7 @@ class FoamTraining:
     errors: Sequence[MethodErrors]
     folds: int
     groups: int
+    used: int = 0
 
 
 @dataclass(frozen=True)
@@ -111,6 +123,199 @@ class Rival:
 
     label: str
     train: Trainer
+
+
+METHODS = {
+    'none': 'no correction',
+    'ridge': 'ridge regression',
+    'gaussian_process': 'Gaussian process',
+    'network': 'network',
+}
+"""Models that a machine can run, by name, the simplest first, and what they are called."""
+
+AUTO = 'auto'
+"""Stands for the method that held-out samples choose."""
+
+CONSEQUENTS = {'nts': 'hidden layer (NTS)', 'sts': 'linear rules (STS)'}
+"""Networks by the name of their consequents."""
+
+AGAINST_NONE, AGAINST_SIMPLER = 0.01, 0.1
+"""Chances at which a model without any merit is taken, over no correction and over a simpler one.
+
+The first is paid by every sheet that does not give way, the second by none."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedModel:
+    """A model, how it was chosen, and what is to be said of it.
+
+    Attributes
+    ----------
+    model : DeformationModel
+        The model; it compensates nothing if no correction was the best.
+    method : str
+        Of `METHODS`.
+    judged : FoamTraining
+        Held-out errors of all.
+    outliers : tuple of str
+        Samples that were left out, where they are from.
+    lines : tuple of str
+        What is to be said.
+    notes : tuple of str
+        What of it is a doubt.
+    """
+
+    model: DeformationModel
+    method: str
+    judged: FoamTraining
+    outliers: tuple[str, ...]
+    lines: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+@single_threaded
+def train_model(
+    samples: Samples,
+    settings: Mapping[str, Any],
+    method: str = AUTO,
+    *,
+    others: Sequence[Rival] = (),
+    progress: Tell = lambda text, done, total: None,
+) -> TrainedModel:
+    """Find outliers, hold samples out in turn, choose a model, and train it on all that remain.
+
+    A model is taken over a simpler one if it is better on held-out samples beyond chance: by a
+    t test on the errors of the groups.
+
+    Parameters
+    ----------
+    samples : Samples
+        The samples.
+    settings : mapping
+        Settings of the network, as of `TSFuzzyNetwork`.
+    method : str
+        Of `METHODS`, or `AUTO`.
+    others : sequence of Rival
+        Models that are judged beside them, and never chosen.
+    progress : callable
+        Told what is going on, steps done and in all.
+
+    Raises
+    ------
+    ValueError
+        If the method is unknown, or there are too few samples.
+    """
+    if method not in (AUTO, *METHODS):
+        raise ValueError(
+            f'method: expected {AUTO} or one of {", ".join(METHODS)} but found {method!r}'
+        )
+    check_enough(samples.x, samples.s, TSFuzzyNetwork(**settings).n_rules)
+    out = outlying(samples.x, samples.s)
+    x, s, groups = samples.x[~out], samples.s[~out], samples.groups[~out]
+    trainers: dict[str, Callable[[Array, Array], DeformationModel]] = {
+        'none': no_correction,
+        'ridge': ridge_regression,
+        'gaussian_process': gaussian_process,
+    }
+    named = METHODS | {'network': CONSEQUENTS[settings.get('consequent', 'nts')]}
+    compared = list(METHODS) if method == AUTO else list(dict.fromkeys(('none', method)))
+    rivals = [
+        Rival(named[key], _fitted(trainers[key]))
+        if key in trainers
+        else network(named[key], **settings)
+        for key in compared
+    ]
+    rivals += others
+    judged = judge_training(
+        x, s, groups, rivals, seed=int(settings.get('random_state', 0)), progress=progress
+    )
+    chosen = _chosen(judged, s, groups) if method == AUTO else compared.index(method)
+    judged = replace(judged, used=chosen)
+    name = compared[chosen]
+    notes: tuple[str, ...]
+    if name == 'network':
+        fitted = TSFuzzyNetwork(**settings).fit(x, s, groups)
+        model, notes = fitted.model_, fitted.problems_
+    else:
+        model, notes = trainers[name](x, s), direction_doubts(x, s)
+    lines = [*_outlier_lines(samples, out), *(f'note: {note}' for note in notes)]
+    if method == AUTO:
+        lines.append(_choice_line(judged, name))
+    doubts = tuple(lines[:-1] if method == AUTO and name != 'none' else lines)
+    if model.corrects:
+        lines.append(_gate_line(model))
+    places = tuple(samples.where[at] for at in np.flatnonzero(out))
+    return TrainedModel(model, name, judged, places, tuple(lines), doubts)
+
+
+def _fitted(make: Callable[[Array, Array], DeformationModel]) -> Trainer:
+    return lambda x, s, groups: make(x, s).predict
+
+
+def _chosen(judged: FoamTraining, s: Array, groups: NDArray[np.int64]) -> int:
+    """Return the place of the model that held-out samples choose."""
+    _, group = np.unique(groups, return_inverse=True)
+    count = np.bincount(group)
+    error = [
+        np.bincount(group, np.hypot(*(item.predicted - s).T)) / count
+        for item in judged.errors[: len(METHODS)]
+    ]
+    best = 0
+    for place in range(1, len(error)):
+        level = AGAINST_SIMPLER if best else AGAINST_NONE
+        if _better(error[best] - error[place], level):
+            best = place
+    return best
+
+
+def _better(gain: Array, level: float) -> bool:
+    """Return whether gains of independent groups are positive beyond a chance."""
+    mean, deviation = float(gain.mean()), float(gain.std(ddof=1))
+    return mean > float(stdtrit(len(gain) - 1, 1.0 - level)) * deviation / len(gain) ** 0.5
+
+
+def _choice_line(judged: FoamTraining, method: str) -> str:
+    """Return which model was chosen and why."""
+    none, used = judged.errors[0], judged.errors[judged.used]
+    if method == 'none':
+        least = min(judged.errors[1 : len(METHODS)], key=lambda item: item.rms)
+        return (
+            'no correction: held-out samples show no deformation that a model predicts beyond '
+            f'chance; {none.rms:.3f} mm per 50 mm without, {least.rms:.3f} with the best '
+            f'({least.name}); the model compensates nothing'
+        )
+    return (
+        f'chosen by held-out samples: {used.name}, {used.rms:.3f} mm per 50 mm, instead of '
+        f'{none.rms:.3f} without correction'
+    )
+
+
+def _gate_line(model: DeformationModel) -> str:
+    """Return what a model lets pass, in words."""
+    gate = model.gate
+    low, high = gate.low, gate.high
+    directions = f'directions {low[0]:g} to {high[0]:g}° and their opposites'
+    return (
+        f'the model is for {"all directions" if gate.all_round else directions}, steps '
+        f'{low[3]:g} to {high[3]:g} mm, thicknesses {low[4]:g} to {high[4]:g} mm, depths '
+        f'{gate.ratio_low:.2f} to {gate.ratio_high:.2f} of the thickness'
+    )
+
+
+NAMED = 10
+"""Outliers that are named one by one."""
+
+
+def _outlier_lines(samples: Samples, out: NDArray[np.bool_]) -> list[str]:
+    """Return which samples contradict the others."""
+    places = [samples.where[at] for at in np.flatnonzero(out)]
+    if not places:
+        return []
+    more = f' and {len(places) - NAMED} more' if len(places) > NAMED else ''
+    return [
+        f'left out: {len(places)} of {len(out)} samples that contradict the others: '
+        f'{", ".join(places[:NAMED])}{more}'
+    ]
 
 
 def network(label: str, **settings: Any) -> Rival:
@@ -138,18 +343,12 @@ def baselines(features: str, seed: int = 0) -> tuple[Rival, ...]:
         If scikit-learn is not installed.
     """
     from sklearn.ensemble import GradientBoostingRegressor
-    from sklearn.gaussian_process import GaussianProcessRegressor
-    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
     from sklearn.linear_model import RidgeCV
     from sklearn.multioutput import MultiOutputRegressor
     from sklearn.neural_network import MLPRegressor
 
-    def process(inputs: int) -> Any:
-        kernel = ConstantKernel() * RBF(np.ones(inputs)) + WhiteKernel(1e-2)
-        return MultiOutputRegressor(GaussianProcessRegressor(kernel))
-
     makers: dict[str, Callable[[int], Any]] = {
-        'ridge regression': lambda inputs: RidgeCV(np.logspace(-3, 2, 11)),
+        'plain ridge regression': lambda inputs: RidgeCV(np.logspace(-3, 2, 11)),
         'MLP, 32 and 32 nodes': lambda inputs: MLPRegressor(
             hidden_layer_sizes=(32, 32),
             alpha=1.0,
@@ -158,7 +357,6 @@ def baselines(features: str, seed: int = 0) -> tuple[Rival, ...]:
             max_fun=10**6,
             random_state=seed,
         ),
-        'Gaussian process': process,
         'gradient boosting': lambda inputs: MultiOutputRegressor(
             GradientBoostingRegressor(n_estimators=300, random_state=seed)
         ),

@@ -8,14 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.core.thermal.candidate import DEFAULT, UNCOMPENSATED
+from fuzzycnc_ros.core.thermal.candidate import COMPARED_ONLY, DEFAULT, UNCOMPENSATED
 from fuzzycnc_ros.studies.page.html import Remark
 from fuzzycnc_ros.studies.page.table import Column, Table, tied
 from fuzzycnc_ros.studies.thermal.judged import (
     loss_remarks,
+    plain_remarks,
     remarks_on,
     training_remark,
     worse_than_none,
+    worse_than_plain,
 )
 from fuzzycnc_ros.studies.thermal.summary import candidate_label, has_diverged, micrometres
 
@@ -29,6 +31,14 @@ if TYPE_CHECKING:
 
 MARK = ' *'
 """Stands behind the label of a candidate that is refused."""
+
+COMPARED_MARK = ' \u2020'
+"""Stands behind the label of a candidate that is only compared."""
+
+COMPARED_LINE = (
+    f'{COMPARED_MARK.strip()} only compared: no model file holds it, no machine runs it'
+)
+"""What that mark means."""
 
 LEFT = 'residual thermal error'
 """What a table holds."""
@@ -63,10 +73,12 @@ def residual_table(
     Returns
     -------
     Table
-        Uncompensated first, which competes for the best too; the default, highlighted, last.
+        Uncompensated first, which competes for the best too, then what machines can run, what is
+        only compared, which does not compete, and the default, highlighted.
         Where what is in use leaves more than there was without compensation its cells warn.
     """
     rows = row_order(rms)
+    out = {*refused, *COMPARED_ONLY}
     columns = [Column('Model', numeric=False)]
     for name in channel:
         columns += [Column('rmse', name), Column('max', name)]
@@ -83,9 +95,9 @@ def residual_table(
                 competing = {
                     name: micrometres(value)
                     for name, value in values.items()
-                    if _competes(name, refused) and (name == UNCOMPENSATED or value != bare)
+                    if _competes(name, out) and (name == UNCOMPENSATED or value != bare)
                 }
-                chosen = tied(competing, best_of(values, refused))
+                chosen = tied(competing, best_of(values, out))
             else:
                 chosen = [in_use[number]]
             strong |= {(rows.index(name), 1 + 2 * number + offset) for name in chosen}
@@ -108,8 +120,9 @@ def residual_table(
 
 
 def marked_label(name: str, refused: Collection[str]) -> str:
-    """Return a candidate's label, marked if it is refused."""
-    return candidate_label(name) + (MARK if name in refused else '')
+    """Return a candidate's label, marked if it is refused or only compared."""
+    compared = COMPARED_MARK if name in COMPARED_ONLY else ''
+    return candidate_label(name) + compared + (MARK if name in refused else '')
 
 
 def best_of(figures: Mapping[str, float], refused: Collection[str] = ()) -> list[str]:
@@ -150,18 +163,42 @@ def refused_anywhere(comparison: 'Comparison') -> dict[str, dict[str, str]]:
     return found
 
 
-def best_candidates(comparison: 'Comparison') -> dict[str, str | None]:
+def best_candidates(
+    comparison: 'Comparison', without: Collection[str] = COMPARED_ONLY
+) -> dict[str, str | None]:
     """Return the candidate of each channel with the least rmse over all held-out samples.
 
     It is the uncompensated machine where no candidate that is trusted on every run beats it; None
     where nothing was measured.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        What was held out.
+    without : collection of str
+        Candidates that do not compete: those that no machine runs, unless told otherwise.
     """
-    rms, refused = comparison.rms(), refused_anywhere(comparison)
+    rms, refused = comparison.rms(), {*refused_anywhere(comparison), *without}
     best = {}
     for number, channel in enumerate(comparison.channel):
         found = best_of({name: float(values[number]) for name, values in rms.items()}, refused)
         best[channel] = found[0] if found else None
     return best
+
+
+def best_lines(comparison: 'Comparison') -> list[str]:
+    """Return the best candidate that a machine can run, and what is better but only compared."""
+    lines = [f'best candidate: {by_channel(best_candidates(comparison))}']
+    rms, ours = comparison.rms(), best_candidates(comparison)
+    better = [
+        f'{candidate_label(name)} on {channel}, {micrometres(rms[name][number])} \u00b5m instead '
+        f'of {micrometres(rms[ours[channel] or UNCOMPENSATED][number])} \u00b5m'
+        for number, (channel, name) in enumerate(best_candidates(comparison, ()).items())
+        if name in COMPARED_ONLY
+    ]
+    if better:
+        lines.append(f'better, but only compared, as no machine runs it: {"; ".join(better)}')
+    return lines
 
 
 def held_out_table(item: 'HeldOut') -> Table:
@@ -215,7 +252,7 @@ def by_channel(chosen: Mapping[str, str | None]) -> str:
 def held_out_remarks(item: 'HeldOut') -> list[Remark]:
     """Return what a reader of a held-out run has to know."""
     judged = item.evaluation
-    remarks = remarks_on(judged)
+    remarks = remarks_on(judged, refused=refused_on(item))
     if judged.trained_on:
         # A copy of the run was trained on under another name.
         remarks.insert(1, training_remark(judged.run, judged.trained_on, True, ()))
@@ -223,8 +260,12 @@ def held_out_remarks(item: 'HeldOut') -> list[Remark]:
 
 
 def pooled_remarks(comparison: 'Comparison') -> list[Remark]:
-    """Return where the default is worse than none over all held-out samples."""
-    return loss_remarks(POOLED, comparison.channel, comparison.rms())
+    """Return where the default is worse than none, or plain, over all held-out samples."""
+    refused = refused_anywhere(comparison)
+    return [
+        *loss_remarks(POOLED, comparison.channel, comparison.rms()),
+        *plain_remarks(POOLED, comparison.channel, comparison.rms(), refused),
+    ]
 
 
 def refusal_lines(item: 'HeldOut') -> list[str]:
@@ -273,7 +314,9 @@ def judged_document(judged: 'Evaluation') -> dict[str, Any]:
     Returns
     -------
     dict
-        `window_s`: first and last time; `samples`, `covered`, `half_width_um`: by channel;
+        `window_s`: first and last time; `samples`, `covered`, `half_width_um`, the number of
+        `independent` residuals and their `band_ratio`: by channel; `false_band`: channels whose
+        band holds far less;
         `in_domain`; `warm_K`: sensor -> difference to a cold start; `trained_on`: training run ->
         share of the judged samples; `worse_than_none`: channels in which the default leaves more
         than no compensation.
@@ -287,6 +330,9 @@ def judged_document(judged: 'Evaluation') -> dict[str, Any]:
         'trained_on': dict(judged.trained_on),
         'covered': dict(zip(names, judged.covered, strict=True)),
         'half_width_um': dict(zip(names, 1e6 * judged.half_width, strict=True)),
+        'independent': dict(zip(names, judged.independent, strict=True)),
+        'band_ratio': dict(zip(names, judged.band_ratio, strict=True)),
+        'false_band': list(judged.false_band()),
         'worse_than_none': worse_than_none(names, judged.rms),
     }
 
@@ -298,8 +344,10 @@ def comparison_document(comparison: 'Comparison') -> dict[str, Any]:
     -------
     dict
         `held_out`: run -> what `judged_document` returns, `default`, `inputs`, `figures`,
-        `refused`; `pooled`: candidate -> channel -> figures; `best`: channel -> candidate,
-        'uncompensated' where none beats it; `worse_than_none`: channels in which the default
+        `refused`; `pooled`: candidate -> channel -> figures; `best`: channel -> candidate
+        that a machine can run, 'uncompensated' where none beats it; `best_compared`: the same of
+        all; `worse_than_plain`: channels in which the default leaves much more than plain least
+        squares; `worse_than_none`: channels in which the default
         leaves more than no compensation, over all of them; `refused`: candidate -> run -> why.
     """
     return {
@@ -319,14 +367,19 @@ def comparison_document(comparison: 'Comparison') -> dict[str, Any]:
         },
         'pooled': residual_document(comparison.channel, comparison.rms(), comparison.largest()),
         'best': best_candidates(comparison),
+        'best_compared': best_candidates(comparison, ()),
+        'worse_than_plain': list(
+            worse_than_plain(comparison.channel, comparison.rms(), refused_anywhere(comparison))
+        ),
         'worse_than_none': worse_than_none(comparison.channel, comparison.rms()),
         'refused': refused_anywhere(comparison),
     }
 
 
 def row_order(rms: 'Figures') -> list[str]:
-    """Return the rows of a table: uncompensated, candidates, default."""
+    """Return the rows of a table: uncompensated, candidates, what is only compared, default."""
     between = [name for name in rms if name not in (UNCOMPENSATED, DEFAULT)]
+    between.sort(key=lambda name: name in COMPARED_ONLY)
     ends = [name for name in (UNCOMPENSATED, DEFAULT) if name in rms]
     return [*ends[:1], *between, *ends[1:]]
 

@@ -2,13 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """What was judged and what came of it, in sentences that pages and terminals share."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core.thermal.band import is_false_band
 from fuzzycnc_ros.core.thermal.candidate import DEFAULT, UNCOMPENSATED
+from fuzzycnc_ros.core.thermal.fit.evaluation import pooled_coverage
 from fuzzycnc_ros.studies.page.html import Remark
 from fuzzycnc_ros.studies.thermal.summary import candidate_label, has_diverged, micrometres
 
@@ -19,13 +21,24 @@ if TYPE_CHECKING:
     Figures = Mapping[str, NDArray[np.float64]]
 
 
-def remarks_on(judged: 'Evaluation') -> list[Remark]:
-    """Return what a reader of a judged run has to know: window, start, domain, band, losses."""
+def remarks_on(judged: 'Evaluation', runs: int = 1, refused: Collection[str] = ()) -> list[Remark]:
+    """Return what a reader of a judged run has to know: window, start, domain, band, losses.
+
+    Parameters
+    ----------
+    judged : Evaluation
+        The run.
+    runs : int
+        Number of runs that are judged, each by itself.
+    refused : collection of str
+        Candidates that are not to be trusted.
+    """
     remarks = [Remark(window_text(judged))]
     if judged.warm:
         remarks.append(Remark(warm_text(judged.run, judged.warm), True))
-    remarks.append(Remark(band_text(judged)))
-    return remarks + loss_remarks(judged.run, judged.channel, judged.rms)
+    remarks.append(_band_of(judged, runs))
+    remarks += loss_remarks(judged.run, judged.channel, judged.rms)
+    return remarks + plain_remarks(judged.run, judged.channel, judged.rms, refused)
 
 
 def window_text(judged: 'Evaluation') -> str:
@@ -102,16 +115,70 @@ def kelvins(warm: Mapping[str, float]) -> str:
     return ', '.join(f'{name} {kelvin:+.1f} K' for name, kelvin in warm.items())
 
 
-def band_text(judged: 'Evaluation') -> str:
-    """Return how much of what is left the band of the default holds, and how wide it is."""
+def band_remark(
+    run: str,
+    channel: Sequence[str],
+    covered: NDArray[np.float64],
+    half_width: NDArray[np.float64],
+    ratio: NDArray[np.float64],
+    independent: NDArray[np.float64],
+    runs: int = 1,
+) -> Remark:
+    """Return how much of what is left the band holds, how wide it is, and whether it is false.
+
+    Parameters
+    ----------
+    run : str
+        Name of the run.
+    channel : sequence of str, length c
+        Channels.
+    covered, half_width, ratio, independent : ndarray, shape (c,)
+        As in `Evaluation`, where the third is `band_ratio`.
+    runs : int
+        Number of runs that are judged, each by itself.
+    """
     each = [
         f'{100.0 * share:.0f} % of {name} (\u00b1{micrometres(width)} \u00b5m)'
-        for name, share, width in zip(
-            judged.channel, judged.covered, judged.half_width, strict=True
-        )
+        for name, share, width in zip(channel, covered, half_width, strict=True)
         if np.isfinite(share)
     ]
-    return f'{judged.run}: the band of two standard deviations holds {", ".join(each)}'
+    text = f'{run}: the band of two standard deviations holds {", ".join(each)}'
+    figures = zip(channel, covered, ratio, independent, strict=True)
+    false = {
+        name: count
+        for name, share, size, count in figures
+        if is_false_band(share, size, count, runs)
+    }
+    if not false:
+        return Remark(text)
+    counts = '/'.join(dict.fromkeys(f'{count:.0f}' for count in false.values()))
+    return Remark(
+        f'{text}; it promises 95 %, and chance does not explain so little of {", ".join(false)} '
+        f'(as good as {counts} independent samples): {_ADVICE}',
+        True,
+    )
+
+
+_ADVICE = 'do not rely on it, and train on runs like this as well'
+
+
+def _band_of(judged: 'Evaluation', runs: int = 1) -> Remark:
+    figures = judged.covered, judged.half_width, judged.band_ratio, judged.independent
+    return band_remark(judged.run, judged.channel, *figures, runs=runs)
+
+
+def false_band_remarks(judged: 'Sequence[Evaluation]') -> list[Remark]:
+    """Return in which runs, and over all of them, the band holds far less than it promises."""
+    each = [_band_of(item, len(judged)) for item in judged]
+    remarks = [remark for remark in each if remark.warning]
+    pooled = zip(judged[0].channel, *pooled_coverage(judged), strict=True)
+    false = [
+        f'{100.0 * each[0]:.0f} % of {name}' for name, *each in pooled if is_false_band(*each)
+    ]
+    if false and len(judged) > 1:
+        text = f'over {len(judged)} runs the band holds {", ".join(false)}; it promises 95 %'
+        remarks.append(Remark(f'{text}: {_ADVICE}', True))
+    return remarks
 
 
 def worse_than_none(channel: Sequence[str], rms: 'Figures', name: str = DEFAULT) -> list[str]:
@@ -127,6 +194,50 @@ def loss_remarks(run: str, channel: Sequence[str], rms: 'Figures') -> list[Remar
         return []
     figures = dict(zip(channel, zip(rms[DEFAULT], rms[UNCOMPENSATED], strict=True), strict=True))
     return [Remark(f'{run}: {loss_text({label: figures[label] for label in lost})}', True)]
+
+
+PLAIN_RATIO = 1.5
+"""Residual of the default over that of plain least squares from which it is much worse [-]."""
+
+PLAIN_DIFFERENCE = 0.1e-6
+"""Difference below which it is not [m]: tables do not show it."""
+
+
+def worse_than_plain(
+    channel: Sequence[str], rms: 'Figures', refused: Collection[str] = ()
+) -> dict[str, tuple[float, float]]:
+    """Return where the default is much worse than plain least squares: what both leave [m].
+
+    Nothing where least squares are not among the candidates, or are not to be trusted.
+    """
+    if PLAIN in refused or PLAIN not in rms:
+        return {}
+    pairs = zip(channel, rms[DEFAULT], rms[PLAIN], strict=True)
+    return {
+        label: (float(left), float(plain))
+        for label, left, plain in pairs
+        if left > max(PLAIN_RATIO * plain, plain + PLAIN_DIFFERENCE)
+    }
+
+
+def plain_remarks(
+    run: str, channel: Sequence[str], rms: 'Figures', refused: Collection[str] = ()
+) -> list[Remark]:
+    """Return that the default is much worse than plain least squares, in one sentence."""
+    worse = worse_than_plain(channel, rms, refused)
+    if not worse:
+        return []
+    figures = ', '.join(
+        f'{micrometres(left)} \u00b5m instead of {micrometres(plain)} \u00b5m on {label}'
+        for label, (left, plain) in worse.items()
+    )
+    return [
+        Remark(f'{run}: the default leaves much more than plain least squares: {figures}', True)
+    ]
+
+
+PLAIN = 'least_squares'
+"""Candidate that every other should at least equal."""
 
 
 def loss_text(losing: Mapping[str, tuple[float, float]]) -> str:
@@ -175,7 +286,7 @@ def choice_remarks(model: 'ThermalModel') -> list[Remark]:
             Remark(
                 f'{", ".join(names)} is {loss_text(model.losing)} on held-out samples; '
                 'thermal_predictor refuses this model unless its parameter force is true '
-                '(fuzzycnc up --force-model); train with --model auto to leave '
+                f'(`fuzzycnc up --force-model`); `fuzzycnc train --model auto` leaves '
                 f'{", ".join(model.losing)} uncompensated',
                 True,
             )

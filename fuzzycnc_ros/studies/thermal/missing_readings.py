@@ -7,6 +7,8 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from fuzzycnc_ros.core.remedies import Remedy
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -71,30 +73,37 @@ def as_predicted(
         raise ThermalDataError(
             f'run {run.name!r}: expected readings of {first.sensor}, which the model reads, but '
             f'found none from {first.start:.6g} to {first.stop:.6g} s, nor sensors that can stand '
-            f'in for it; judge the part before with --end {first.start:.10g}, or train a model '
-            f'that does without it: --drop-sensor {first.sensor}'
+            'in for it',
+            Remedy('judge the part before', {'end': f'{first.start:.10g}'}),
+            Remedy(f'train a model that does without {first.sensor}', {}),
         )
     return whole, tuple(
         Bridged(*gap, by=LINE if (gap.sensor, gap.start) in left else MATES) for gap in gaps
     )
 
 
-def read_usable(path: 'str | os.PathLike[str]', interval: float, **options: Any) -> 'ThermalRun':
-    """Read a run that can be trained on at an interval [s]; options are those of `read_run`.
+def read_usable(
+    path: 'str | os.PathLike[str]', interval: float | None, **options: Any
+) -> 'ThermalRun':
+    """Read a run that can be trained on at an interval [s], the usual one if absent.
+
+    Options are those of `read_run`.
 
     Raises
     ------
     BagError
         If it cannot be read.
     ThermalDataError
-        If it is too slow, or lacks readings for longer than is bridged.
+        If it is too slow, lacks readings for longer than is bridged, or warms faster than metal.
     """
     from fuzzycnc_ros.bags.runs import read_run
-    from fuzzycnc_ros.core.thermal.fit.training import at_interval
-    from fuzzycnc_ros.core.thermal.fit.training_runs import check_gaps
+    from fuzzycnc_ros.core.thermal.fit.training import at_interval, training_interval
+    from fuzzycnc_ros.core.thermal.fit.training_runs import check_gaps, check_rise
 
     run = read_run(path, **options)
-    check_gaps([at_interval(run, interval)])
+    even = at_interval(run, training_interval([run], interval))
+    check_gaps([even])
+    check_rise(even)
     return run
 
 

@@ -129,9 +129,93 @@ def find_phases(
                 f'{recording.name}: --kind: expected a phase of {", ".join(sorted(names))} but '
                 f'found {name!r}'
             )
-    told = kinds or {}
-    phases = tuple(replace(item, kind=told.get(item.name, item.kind)) for item in found.phases)
-    return replace(found, phases=phases)
+    phases: list[Phase] = []
+    for item in found.phases:
+        if item.name in (kinds or {}):
+            phases.append(replace(item, kind=(kinds or {})[item.name]))
+        else:
+            phases += _as_measured(item, recording, cut=not given)
+    same = [item.name for item in phases] == [item.name for item in found.phases]
+    source = found.source if same else f'{found.source}; where the spindle did otherwise, by that'
+    return PhaseList(tuple(phases), source)
+
+
+def _as_measured(phase: Phase, recording: TestRecording, *, cut: bool) -> list[Phase]:
+    """Return a phase as the spindle was in it, whatever it is called.
+
+    Where the spindle stood in one part and turned in another the phase is cut there, or says how
+    long it did the other, if somebody chose its ends.  Its name says where its words and the
+    spindle contradict each other.
+    """
+    if recording.speed is None:
+        return [phase]
+    known = np.isfinite(recording.speed)
+    time, speed = recording.time[known], recording.speed[known]
+    turned = bool((np.abs(speed[time < phase.start]) > SPEED_LEAST).any())
+    parts = _rests(time, speed, phase)
+    if len(parts) > 1 and not cut:
+        lasts = {turns: sum(p.duration for p, own in parts if own == turns) for _, turns in parts}
+        turns = lasts[True] >= lasts[False]
+        other = 'at rest' if turns else 'turning'
+        named = _named(phase, turns, turned, time, speed)
+        hours = lasts[not turns] / 3600.0
+        return [replace(named, name=f'{named.name}, {other} for {hours:.1f} h of it')]
+    found = []
+    for part, turns in parts:
+        found.append(_named(part, turns, turned, time, speed, always=len(parts) > 1))
+        turned = turned or turns
+    return found
+
+
+def _rests(
+    time: NDArray[np.float64], speed: NDArray[np.float64], phase: Phase
+) -> list[tuple[Phase, bool]]:
+    """Return the parts of a phase in which the spindle turns or rests, and whether it turns.
+
+    What is shorter than `SHORTEST` belongs to what came before, at the start to what follows.
+    """
+    inside = (time >= phase.start) & (time < phase.end)
+    if not inside.any():
+        return [(phase, kind_of(phase.name) == 'spindle')]
+    at, turns = time[inside], np.abs(speed[inside]) > SPEED_LEAST
+    changes = np.flatnonzero(turns[1:] != turns[:-1]) + 1
+    starts = [phase.start, *at[changes].tolist()]
+    found: list[tuple[Phase, bool]] = []
+    for start, end, own in zip(
+        starts, [*starts[1:], phase.end], turns[[0, *changes]].tolist(), strict=True
+    ):
+        if found and (end - start < SHORTEST or found[-1][1] == own):
+            before, was = found[-1]
+            found[-1] = replace(before, end=end), was
+        elif found and found[-1][0].duration < SHORTEST:
+            found[-1] = replace(found[-1][0], end=end), own
+        else:
+            found.append((replace(phase, start=start, end=end), own))
+    return found
+
+
+def _named(
+    phase: Phase,
+    turns: bool,
+    turned: bool,
+    time: NDArray[np.float64],
+    speed: NDArray[np.float64],
+    *,
+    always: bool = False,
+) -> Phase:
+    """Return a phase with the kind, and where they differ the name, of what the spindle did."""
+    at_odds = phase.kind in (('environment', 'cooling') if turns else ('spindle',))
+    kind = phase.kind
+    if turns and kind in ('environment', 'cooling', 'other'):
+        kind = 'spindle'
+    elif at_odds:
+        kind = 'cooling' if turned else 'environment'
+    if not at_odds and not always:
+        return replace(phase, kind=kind)
+    inside = np.abs(speed[(time >= phase.start) & (time < phase.end)])
+    usual = float(np.median(inside[inside > SPEED_LEAST])) if turns else 0.0
+    what = f'spindle at {60.0 * usual / (2.0 * pi):.0f} rpm' if turns else 'spindle at rest'
+    return replace(phase, kind=kind, name=f'{phase.name}: {what}')
 
 
 def _cut(phase: Phase, recording: TestRecording) -> Phase:

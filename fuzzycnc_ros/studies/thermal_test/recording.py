@@ -26,6 +26,7 @@ from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.runtime.convert import stamp_of
 from fuzzycnc_ros.runtime.host import NodeEvent
 from fuzzycnc_ros.runtime.records import SECOND, CompensationApplied
+from fuzzycnc_ros.studies.page.recorded import recorded_zone
 
 Floats = NDArray[np.float64]
 
@@ -81,6 +82,8 @@ class TestRecording:
         Spindle speed that was known [rad/s], NaN before the first; None if it never was.
     marks : tuple of Mark
         What people marked, in order.
+    zone : str
+        Zone of its clock, where the bag says it.
     """
 
     __test__ = False  # no test, whatever pytest makes of the name
@@ -98,6 +101,7 @@ class TestRecording:
     temperatures: Course | None
     speed: Floats | None
     marks: tuple[Mark, ...]
+    zone: str = ''
 
     @property
     def spacing(self) -> float:
@@ -142,6 +146,7 @@ def read_test(path: str | os.PathLike[str], machine: str | None = None) -> TestR
     """
     source = Path(path)
     with BagReader(source) as reader:
+        zone = recorded_zone(reader)
         moved_topic = find_topic(reader, 'displacement', DISPLACEMENT_TYPE, machine)
         space = moved_topic.rpartition('/')[0]
         moved = Samples(source, moved_topic, ('axis', 'channel'), 'channel')
@@ -195,6 +200,7 @@ def read_test(path: str | os.PathLike[str], machine: str | None = None) -> TestR
         speed=speeds_at(series.stamp, told),
         # Each part of a bag begins with the newest events, which so come again.
         marks=tuple(Mark((at - start) / SECOND, *said) for at, *said in sorted(set(marks))),
+        zone=zone,
     )
 
 

@@ -147,7 +147,7 @@ def facts(test: ThermalTest) -> list[Fact]:
     by = list(dict.fromkeys(mark.by for mark in recording.marks if mark.by))
     return [
         _either('Machine', set_up.machine, recording.machine),
-        _either('Date', set_up.date, recorded_date(recording.start)),
+        _either('Date', set_up.date, recorded_date(recording.start, recording.zone)),
         _either('Operator', set_up.operator, f'marks by {", ".join(by)}' if by else ''),
         *(_either(name, text, '') for name, text in stated),
         *(_probe_fact(test, name, column) for name, column in test.probes.items()),

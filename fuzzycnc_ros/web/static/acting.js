@@ -208,17 +208,21 @@ export function buildActions(container, context) {
     button.addEventListener('click', () => open(context()));
     container.append(button);
   }
+  container.append(make('p', {id: 'no-recording',
+    text: 'Recording needs a folder: set the parameter bags of dashboard.'}));
 }
 
 /** Show which acts make sense now; the server judges for itself. */
-export function showActions(container, view, writable) {
+export function showActions(container, view, {writable, recordable}) {
   container.hidden = !writable;
   const button = (name) => container.querySelector(`[data-act="${name}"]`);
   const node = view?.nodes.find(({name}) => name === 'compensator');
-  for (const {dataset} of container.children) button(dataset.act).disabled = !view;
+  for (const [name] of ACTS) button(name).disabled = !view;
+  container.querySelector('#no-recording').hidden = recordable;
   if (!view) return;
-  button('activate').disabled = node?.lifecycle === 'active';
-  button('deactivate').disabled = node?.lifecycle === 'inactive';
+  button('activate').disabled = ['active', 'finalized'].includes(node?.lifecycle);
+  button('deactivate').disabled = ['inactive', 'finalized'].includes(node?.lifecycle);
+  button('record').disabled = !(recordable || view.recording?.active);
   button('record').textContent = view.recording?.active ? 'Stop recording…' : 'Start recording…';
 }
 

@@ -27,7 +27,7 @@ const live = new Live();
 const loaded = performance.now();
 /** The newest view of each machine, and when it arrived. */
 const views = new Map();
-let hello = {machines: [], writable: false, needs_token: false, interval: 1};
+let hello = {machines: [], writable: false, needs_token: false, recordable: false, interval: 1};
 let helloAt = null;
 let [machine, tab] = place();
 
@@ -119,7 +119,7 @@ function show() {
     SHOW[tab]?.(held.view);
     for (const item of Object.values(plots)) item.take(held.view);
   }
-  showActions(find('actions'), held?.view ?? null, hello.writable);
+  showActions(find('actions'), held?.view ?? null, hello);
   tick();
 }
 

@@ -223,7 +223,7 @@ def test_credentials_that_others_can_read_are_refused(tmp_path):
     credentials(tmp_path).chmod(0o644)
     path = tmp_path / 'broker.yaml'
     path.write_text(f'{FILE}credentials: broker-user.yaml\nallow_plain_password: true\n')
-    with pytest.raises(ParameterError, match='only its owner can read; run chmod 600'):
+    with pytest.raises(ParameterError, match='found mode 644; run chmod 600'):
         read_broker(path)
 
 

@@ -19,7 +19,7 @@ from equipment.polled import TIMEOUT, close, good, lost, wait
 
 from fuzzycnc_ros.adapters.link import LinkError
 from fuzzycnc_ros.adapters.mtconnect import link as mtconnect
-from fuzzycnc_ros.adapters.mtconnect.documents import parse
+from fuzzycnc_ros.adapters.mtconnect.documents import DataItem, Document, parse
 from fuzzycnc_ros.adapters.mtconnect.link import FILTER_MAX, path_of
 from fuzzycnc_ros.adapters.readings import polling
 from fuzzycnc_ros.adapters.readings.device_file import read_devices
@@ -121,6 +121,21 @@ def test_the_present_state_is_read_once_and_then_what_changes(field, agent, poll
 def paths(agent):
     """Return the XPath of each request."""
     return [parse_qs(urlsplit(request).query).get('path') for request in agent.requests]
+
+
+def test_no_more_is_kept_than_is_read(tmp_path):
+    """An agent that tells of ever new data items would fill the memory."""
+    path = tmp_path / 'devices.yaml'
+    places = {'scheme': 'http', 'host': LOCAL, 'port': 1, 'timeout': 1.0}
+    path.write_text(FILE.format(sensors=SENSORS, axes='{}', **places))
+    (device,) = read_devices(path)
+    link = mtconnect.MtconnectLink(device)
+    link._found = [DataItem(channel.item, '', 'CELSIUS') for channel in device.channels]
+    known = device.channels[0].item
+    for number in range(100):
+        told = {f'other{number}': '1', known: str(number)}
+        link._take(Document('MTConnectStreams', '1', '', 1, 1, 2, (), told, {}))
+    assert link._values == {known: '99'}
 
 
 def test_no_more_is_sent_than_is_read(agent, poll):

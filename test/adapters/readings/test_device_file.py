@@ -19,7 +19,7 @@ pytest.importorskip('rclpy')
 from fuzzycnc_ros.adapters.modbus.registers import REGISTERS_MAX, blocks, value_of
 from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
 from fuzzycnc_ros.adapters.readings.device_file import DeviceFile, read_devices
-from fuzzycnc_ros.adapters.readings.devices import FORMATS, Register, SerialLine
+from fuzzycnc_ros.adapters.readings.devices import FORMATS, SPINDLE, Register, SerialLine
 from fuzzycnc_ros.ros.parameters import ParameterError
 
 pytestmark = pytest.mark.ros
@@ -333,7 +333,7 @@ def test_requests_cover_every_value_and_are_no_longer_than_allowed(places):
 )
 def test_registers_and_values_fit_each_other(kind, word_order, byte_order, seed):
     item = Register(
-        name='T',
+        name=SPINDLE,  # of which any value is a reading
         table='input',
         register=0,
         type=kind,
@@ -354,8 +354,30 @@ def test_registers_and_values_fit_each_other(kind, word_order, byte_order, seed)
 
 
 def test_open_circuit_codes_may_be_signed_or_not():
-    item = Register(name='T', table='input', register=0, type='int16', open_circuit=(0x8000,))
+    item = Register(
+        name='T', table='input', register=0, type='int16', open_circuit=(0x8000,), scale=0.01
+    )
     assert value_of(item, [0x8000]) == 'open circuit (raw value -32768)'
-    assert value_of(item, [0x8001]) == -32767.0
+    assert value_of(item, [0xD8F1]) == pytest.approx(-99.99)
     item = Register(name='T', table='input', register=0, type='uint16', open_circuit=(-1,))
     assert value_of(item, [0xFFFF]) == 'open circuit (raw value 65535)'
+
+
+def test_limits_of_a_sensor_are_those_of_its_entry(tmp_path):
+    text = """\
+devices:
+  - name: rtd
+    protocol: modbus_tcp
+    host: 10.0.0.5
+    sensors: {{front: 0, bed: {{register: 1, rate_max: {rate}, range_high: 150}}}}
+"""
+    path = tmp_path / 'devices.yaml'
+    path.write_text(text.format(rate=0.7))
+    (device,) = read_devices(path)
+    assert [channel.limits for channel in device.channels] == [
+        (),
+        (('range_high', 150.0), ('rate_max', 0.7)),
+    ]
+    path.write_text(text.format(rate=-1))
+    with pytest.raises(ParameterError, match='rate_max'):
+        read_devices(path)

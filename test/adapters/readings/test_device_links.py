@@ -18,6 +18,7 @@ from equipment.field_servers import LOCAL, Field, HostileServer, ModbusServer, O
 from equipment.polled import TIMEOUT, close, good, lost, wait
 from equipment.secured_server import PINNING, SECURITY, secured, user_file
 
+from fuzzycnc_ros.adapters.modbus import link as modbus
 from fuzzycnc_ros.adapters.opcua import readings_link as opc_ua
 from fuzzycnc_ros.adapters.opcua import session as opcua_session
 from fuzzycnc_ros.adapters.readings import polling
@@ -94,6 +95,63 @@ def test_a_wrong_register_costs_only_itself(field, poll):
     assert four.startswith('register 200 of the table holding: the device has no such register')
     assert 'compare register, table and type with its manual; addresses count from 0' in four
     assert five.startswith('register 199 to 200 of the table holding')
+
+
+def words_of(value, kind='f'):
+    """Return the registers of a number in the usual order."""
+    packed = struct.pack(f'>{kind}', value)
+    return [int.from_bytes(packed[at : at + 2], 'big') for at in range(0, len(packed), 2)]
+
+
+def swapped(word):
+    return int.from_bytes(word.to_bytes(2, 'big'), 'little')
+
+
+FLOATS = MODBUS.replace('    sensors', '    type: float32\n    sensors')
+
+
+def test_numbers_in_a_wrong_order_are_no_reading_and_name_the_right_one(field, poll):
+    high, low = words_of(21.5 + 1e-5)
+    double = words_of(21.5, 'd')[::-1]
+    words = [high, low, low, high, swapped(high), swapped(low), *double, 0, 0, swapped(235)]
+    poller = poll(
+        FLOATS,
+        field.add(ModbusServer(dict(enumerate(words)))),
+        '{right: 0, word: 2, byte: 4, double: {register: 6, type: float64}, off: 10, '
+        'whole: {register: 12, type: int16}, kelvin: {register: 2, offset: -273.15}}',
+    )
+    right, word, byte, double, off, whole, kelvin = wait(poller, good).readings
+    assert right == pytest.approx(21.5, abs=1e-4)
+    for text in (word, byte, double, kelvin):
+        assert ', which no sensor' in text
+        assert 'compare word_order, byte_order, type and register with its manual' in text
+    assert '21.5 with word_order little' in word
+    assert '21.5 with byte_order little' in byte
+    assert '21.5 with word_order little' in double
+    assert '-251.65 with word_order little' in kelvin
+    assert off.startswith('register 10 of the table holding has read 0 ever since')
+    assert whole == (
+        'reads -5376 degC, which no sensor of a machine does; compare byte_order, type and '
+        'register with its manual (addresses count from 0); it would read 235 with byte_order '
+        'little'
+    )
+
+
+def test_a_float_that_never_changes_is_no_reading_and_one_that_did_is(field, poll, monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr(modbus, 'monotonic', lambda: clock[0])
+    server = field.add(ModbusServer(dict(enumerate([*words_of(21.5), *words_of(22.5)]))))
+    poller = poll(FLOATS, server, '{T1: 0, T2: 2}')
+    wait(poller, lambda item: good(item) and list(item.readings) == [21.5, 22.5])
+    server.words[3] += 1
+    wait(poller, lambda item: good(item) and item.readings[1] != 22.5)
+    clock[0] = modbus.UNCHANGED_MAX
+    polled = wait(poller, lambda item: good(item) and isinstance(item.readings[0], str))
+    assert polled.readings[0].startswith('has not changed by a bit for 10 min')
+    assert 'with word_order little' in polled.readings[0]
+    assert isinstance(polled.readings[1], float)
+    server.words[1] += 1
+    wait(poller, lambda item: good(item) and item.readings[0] == pytest.approx(21.5, abs=1e-3))
 
 
 def test_many_registers_take_several_requests(field, poll):

@@ -250,6 +250,35 @@ def test_tune_writes_settings_that_can_be_used(fuzzycnc, tmp_path):
     assert move.code == 0, move.err
 
 
+@pytest.mark.parametrize(
+    ('options', 'searcher', 'generations'),
+    [
+        ((), 'simulation.servo.tuning.tune', 30),
+        (('--machine-file', 'ballscrew'), 'cli.axes.servo_machine.tune_machine_axis', 8),
+        (('--generations', '5'), 'simulation.servo.tuning.tune', 5),
+        (
+            ('--machine-file', 'ballscrew', '--generations', '5'),
+            'cli.axes.servo_machine.tune_machine_axis',
+            5,
+        ),
+    ],
+)
+def test_tune_searches_for_as_many_generations_as_its_help_says(
+    fuzzycnc, monkeypatch, options, searcher, generations
+):
+    """An axis of a machine has four controllers to tune, each in fewer generations."""
+    searched = []
+
+    def search(*arguments, **named):
+        searched.append(named.get('generations') or arguments[3].generations)
+        raise ValueError('searched')
+
+    monkeypatch.setattr(f'fuzzycnc_ros.{searcher}', search)
+    outcome = fuzzycnc('servo', 'tune', '--out', 's.yaml', *options)
+    assert 'searched' in outcome.err
+    assert searched == [generations]
+
+
 def test_settings_that_swing_off_the_nominal_gain_are_named():
     axis = LatheAxis().linear()
     assert swinging(VariableUniverseController(axis)) == []

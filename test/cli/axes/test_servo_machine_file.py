@@ -7,9 +7,11 @@ import json
 import pytest
 
 from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
+from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS
 from fuzzycnc_ros.machine_file.parameters import node_parameters
 from fuzzycnc_ros.machine_file.reader import read_machine_file
 from fuzzycnc_ros.studies.published_bag import PublishedBag
+from fuzzycnc_ros.studies.servo.axis_tuning_tables import LABELS
 from fuzzycnc_ros.studies.servo.positioning import run_positioning
 
 FILE = """\
@@ -56,6 +58,37 @@ def test_rules_are_learnt_of_a_bag_and_used(fuzzycnc, tmp_path):
         figures.append((tmp_path / 'p.json').read_text())
     assert figures[0] != figures[1]
     assert fuzzycnc('servo', 'stability', *options, '--params', 'rules.yaml').code == 0
+
+
+@pytest.mark.parametrize('name', AXIS_CONTROLLERS)
+def test_an_axis_is_moved_with_whatever_tuning_may_write_for_it(fuzzycnc, tmp_path, name):
+    (tmp_path / 'tuned.yaml').write_text(f"""\
+axes:
+  X:
+    plant: {{model: lags, gain: 200 mm/s, velocity_lag: 20 ms}}
+    controller: {{name: {name}, settings: {{bandwidth: 2.5, damping: 1.1, estimator: 2.0}}}}
+""")
+    outcome = fuzzycnc(
+        *('position', '--machine-file', 'tuned.yaml', '--axis', 'X', '--to', '2mm'),
+        *('--duration', '1s', '--report', 'move.html', '--json', 'p.json'),
+    )
+    assert outcome.code == 0, outcome.err
+    assert LABELS[name] in outcome.out
+    assert json.loads((tmp_path / 'p.json').read_text())['controller'] == name
+    assert LABELS[name] in (tmp_path / 'move.html').read_text()
+
+
+def test_rules_are_used_on_an_axis_without_a_controller_of_its_own(fuzzycnc, tmp_path):
+    table = 'rules: {centres: [-1.0, 1.0], values: [[1.0, 0.0], [0.0, -1.0]]}\n'
+    (tmp_path / 'r.yaml').write_text(f'axis: X\n{table}')
+    (tmp_path / 'plain.yaml').write_text('axes: {X: {plant: {model: mass}}}\n')
+    options = ('--machine-file', 'plain.yaml', '--axis', 'X', '--to', '2mm', '--duration', '0.5s')
+    outcome = fuzzycnc('position', *options, '--params', 'r.yaml', '--json', 'p.json')
+    assert outcome.err == ''
+    assert json.loads((tmp_path / 'p.json').read_text())['controller'] == 'variable_universe'
+    analysed = fuzzycnc('servo', 'stability', *options[:4], '--params', 'r.yaml')
+    assert analysed.code == 0, analysed.err
+    assert 'variable_universe on the X axis' in analysed.out
 
 
 def test_stability_is_that_of_the_axis_and_its_settings(fuzzycnc, tmp_path):

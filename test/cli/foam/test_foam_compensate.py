@@ -11,6 +11,7 @@ import pytest
 from fuzzycnc_ros.core.deformation.compensation import compensate_path
 from fuzzycnc_ros.core.deformation.model import write_model
 from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
+from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets, write_offsets
 from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial, StitchPath
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
@@ -45,6 +46,56 @@ def program(tmp_path):
 def expected(model):
     path = StitchPath(TRACK.points, depth=6e-3, step=3e-3)
     return compensate_path(path, SheetMaterial(15e-3, (0.15, 0.1)), model.predict, gate=model)
+
+
+@pytest.fixture
+def learnt(tmp_path):
+    """Offsets of the track, as `foam learn` writes them."""
+    angle = np.linspace(0.0, np.pi, len(TRACK.points))
+    offset = 1e-3 * np.column_stack([np.sin(angle), np.sin(2.0 * angle)])
+    found = StitchOffsets('track', 'foam', TRACK.points, offset)
+    (tmp_path / 'model.json').write_text(write_offsets(found))
+    return found
+
+
+def test_learnt_offsets_are_taken_for_the_track_that_they_are_of(
+    fuzzycnc, tmp_path, learnt, program
+):
+    quilt = tmp_path / 'quilt.ngc'
+    circle = 'G0 X20 Y20\nG1 X40 Y20 F1200\nG0 Z5\n'
+    quilt.write_text(quilt.read_text().replace('M30', f'{circle}M30'))
+    outcome = fuzzycnc('foam', 'compensate', 'quilt.ngc', *SHEET, '--out', 'out.ngc')
+    assert outcome.code == 0, outcome.err
+    assert 'model.json is for one figure alone' in ' '.join(outcome.out.split())
+    ends = np.array([s.end[:2] for s in read_program((tmp_path / 'out.ngc').read_text()).segments])
+    wanted = TRACK.points[1:] + learnt.offset[1:]
+    np.testing.assert_allclose(ends[3 : 3 + len(wanted)], wanted, atol=1e-6)
+
+
+def test_learnt_offsets_are_taken_for_a_list_of_stitches(fuzzycnc, tmp_path, learnt):
+    rows = [f'{x:.4f},{y:.4f}' for x, y in 1e3 * TRACK.points]
+    (tmp_path / 'in.csv').write_text('\n'.join(['x_mm,y_mm', *rows]) + '\n')
+    outcome = fuzzycnc('foam', 'compensate', 'in.csv', *SHEET, '--out', 'out.csv')
+    assert outcome.code == 0, outcome.err
+    table = list(csv.DictReader((tmp_path / 'out.csv').read_text().splitlines()))
+    offset = [[float(row['offset_x_mm']), float(row['offset_y_mm'])] for row in table]
+    np.testing.assert_allclose(offset, 1e3 * learnt.offset, atol=1e-4)
+
+
+def test_learnt_offsets_of_other_stitches_are_refused(refused, tmp_path, learnt):
+    rows = [f'{x:.4f},{y:.4f}' for x, y in 1e3 * TRACK.points[:40]]
+    (tmp_path / 'in.csv').write_text('\n'.join(['x_mm,y_mm', *rows]) + '\n')
+    naming = ['in.csv', 'model.json was learnt on', 'offsets of 81 points, not of 40']
+    refused('foam', 'compensate', 'in.csv', *SHEET, '--out', 'out.csv', naming=naming)
+    assert not (tmp_path / 'out.csv').exists()
+
+
+def test_offsets_have_no_gains_to_adapt(refused, tmp_path, learnt):
+    (tmp_path / 's.csv').write_text(
+        'direction_deg,depth_mm,type,step_mm,thickness_mm,s_x_mm,s_y_mm\n0,6,2,3,15,1,1\n'
+    )
+    options = ('s.csv', '--adapt', 'model.json', '--out', 'm.json')
+    refused('foam', 'train', *options, naming=['model.json', 'offsets of one track'])
 
 
 def test_a_program_is_compensated_as_its_path_is(fuzzycnc, tmp_path, model, program):

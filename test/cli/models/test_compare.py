@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.bags.runs import read_run
-from fuzzycnc_ros.cli.models.compare import read_runs, speed_missing
+from fuzzycnc_ros.cli.models.compare import speed_missing
 from fuzzycnc_ros.core.thermal.candidate import CANDIDATES, COMPARED_ONLY, SPEED_SUFFIX
 from fuzzycnc_ros.core.thermal.fit.comparison import judge, splits
 from fuzzycnc_ros.papers.names import COMPARED
@@ -181,7 +181,7 @@ def test_speed_that_one_run_lacks_is_not_used(duties):
         duties('without', (600.0,), (3000.0,), options=()),
         duties('idle', (), ()),
     ]
-    runs = read_runs(bags)
+    runs = [read_run(bag) for bag in bags]
     assert speed_missing(runs[:1], 60.0) == ''
     assert speed_missing(runs[:2], 60.0) == 'since without carries none'
     assert speed_missing(runs[2:], 60.0) == 'since it has gaps or never changes'
@@ -227,9 +227,13 @@ def test_what_is_wrong_with_a_run_names_what_was_held_out(refused, here, bag):
     )  # fmt: skip
 
 
-def test_runs_of_different_machines(refused, here, bag):
+def test_runs_of_different_machines(fuzzycnc, refused, here, bag):
     other = bag('other', '--rename', 'dz=probe')
-    refused('compare', bag('a'), bag('b'), other, *QUICK, naming=['held out', 'dz', 'probe'])
+    first = bag('a')
+    refused('compare', first, other, *QUICK, naming=['held out', 'dz', 'probe'])
+    outcome = fuzzycnc('compare', first, bag('b'), other, *QUICK)
+    assert outcome.code == 1
+    assert "left out other: run 'other': expected channel dz as in run 'a', but" in outcome.out
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_recordings import IMPORT, warm_up
 
 from fuzzycnc_ros.bags.finding import find_bags
 from fuzzycnc_ros.cli.models.many_bags import cores, jobs_of
@@ -179,3 +180,62 @@ def test_many_runs_are_not_shown_one_by_one(fuzzycnc, bag, monkeypatch):
     assert outcome.code == 0, outcome
     assert 'a: residual' not in outcome.out
     assert 'Residual thermal error of 2 runs' in outcome.out
+
+
+@pytest.fixture
+def odd_bags(fuzzycnc, bag, table):
+    """Return good bags, and bad ones of which each alone stops a training."""
+    good = [bag('a'), bag('b', rows=100)]
+    bad = []
+    for name in ('loose', 'silent', 'renamed'):
+        columns = warm_up()
+        if name == 'loose':
+            columns['t2'][60:] += 25.0
+        elif name == 'silent':
+            columns['t2'][30:80] = np.nan
+        else:
+            columns['t4'] = columns.pop('t2')
+        outcome = fuzzycnc('import-csv', table('t.csv', columns), '--out', name, *IMPORT)
+        assert outcome.code == 0, outcome
+        bad.append(Path(name))
+    return good, [*bad, Path('gone')]
+
+
+REASONS = {
+    'loose': '10 K per minute',
+    'silent': '--drop-sensor t2',
+    'renamed': 'expected sensor t1, t2, t3 as in run',
+    'gone': 'nothing is there',
+}
+
+
+def test_a_training_leaves_out_what_cannot_be_used_if_asked_to(fuzzycnc, refused, here, odd_bags):
+    good, bad = odd_bags
+    options = ('--model', 'lag_ridge', '--models', 'lag_ridge', '--out')
+    for item in bad:
+        refused('train', good[0], item, good[1], *options, 'x.json', naming=[])
+        assert not Path('x.json').exists()
+    bags = good[0], *bad, good[1]
+    outcome = fuzzycnc('train', *bags, *options, 'm.json', '--skip-bad', '--json', 'f.json')
+    assert outcome.code == 0, outcome
+    left_out = read_json('f.json')['left_out']
+    assert set(left_out) == set(REASONS)
+    for name, reason in REASONS.items():
+        assert reason in left_out[name]
+        assert f'left out {name}: {left_out[name]}' in outcome.out
+    assert fuzzycnc('train', *good, *options, 'n.json').code == 0
+    assert Path('m.json').read_text() == Path('n.json').read_text()
+    refused('train', *bad[-1:], *options, 'x.json', '--skip-bad', naming=['gone'])
+
+
+def test_other_commands_leave_the_same_out(fuzzycnc, here, odd_bags):
+    good, bad = odd_bags
+    options = ('--counts', '1', '--skip-bad', '--json', 'c.json')
+    outcome = fuzzycnc('curve', *good, *bad, *options)
+    assert outcome.code == 0, outcome
+    assert set(read_json('c.json')['left_out_bags']) == set(REASONS)
+    outcome = fuzzycnc('compare', *good, *bad, '--models', 'static_ridge', '--json', 'c.json')
+    assert outcome.code == 1, outcome
+    figures = read_json('c.json')
+    assert set(figures['left_out']) == set(REASONS)
+    assert list(figures['held_out']) == ['a', 'b']

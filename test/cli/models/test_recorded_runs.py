@@ -85,9 +85,8 @@ def test_a_model_of_a_gappy_run_is_that_of_the_whole_one_but_for_the_gap(fuzzycn
 
 def remedies(line):
     """Return the options that a refusal offers, each as words of a command line."""
-    drop = line.split('leave out with ')[1].split(', or ')[0].split()
-    window = line.split('use the part with all readings, ')[1].split()
-    return drop, window
+    drop, window = line.split('; leave ')[1].split(', or use the part with all readings')
+    return drop.split(' out: ')[1].split(), window.split(': ')[1].split()
 
 
 @pytest.mark.parametrize(
@@ -168,12 +167,37 @@ def test_a_turned_run_and_a_single_value_are_named(fuzzycnc, here, table):
         lone, turned = read_json('figures.json')['warnings']
         assert re.match(r'c: t3 is 29\.\d+ degC at 3000 s, alone between 22\.\d+ and 22\.', lone)
         assert re.match(
-            r'b: dz moves against the temperatures \(-[01]\.\d\d\), but with them in a, c '
-            r'\(\+[01]\.\d\d\); .* import b anew with the other sign of the axis',
+            r'b: dz moves against what the other runs predict \(correlation -[01]\.\d\d\); with '
+            r'the other sign the temperatures explain (99|100) % of the motion of all runs, as '
+            r'recorded [1-5]\d %; .* import b anew with the other sign of the axis',
             turned,
         )
         assert f'warning: {lone}\n' in outcome.out
         assert f'warning: {turned}\n' in outcome.out
+
+
+def test_displacements_that_do_not_begin_at_zero_are_named(fuzzycnc, here, table):
+    for name, rows, begin in (('a', 120, 0.0), ('b', 100, 9.0), ('c', 110, -7.0)):
+        columns = warm_up(rows)
+        columns['dz'] += begin
+        outcome = fuzzycnc('import-csv', table(f'{name}.csv', columns), '--out', name, *IMPORT)
+        said = "displacements begin at 'dz' at" in outcome.out
+        assert said == (begin != 0.0), outcome
+        assert ('import with --zero' in outcome.out) == said
+    words = 'displacements do not begin at zero in b (dz at 9'
+    for command in (('train', '--out', 'm.json', 'a', 'b', 'c'), ('compare', 'a', 'b', 'c')):
+        outcome = fuzzycnc(*command, *QUICK, '--json', 'f.json')
+        (line,) = (text for text in read_json('f.json')['warnings'] if words in text)
+        assert ', c (dz at -' in line
+        assert line.endswith('import anew with fuzzycnc import-csv --zero')
+        assert f'warning: {line}\n' in outcome.out
+    outcome = fuzzycnc('evaluate', 'a', 'b', '--model', 'm.json', '--json', 'e.json')
+    (line,) = read_json('e.json')['warnings']
+    assert words in line
+    assert f'warning: {line}\n' in outcome.out
+    options = (*IMPORT, '--zero')
+    outcome = fuzzycnc('import-csv', 'c.csv', '--out', 'zeroed', *options)
+    assert 'warning' not in outcome.out
 
 
 # evaluate
@@ -220,10 +244,78 @@ def test_evaluate_refuses_what_the_predictor_could_not_read(fuzzycnc, refused, r
     assert fuzzycnc('train', bag('training'), *options).code == 0
     line = refused(
         'evaluate', recorded('holed', {'t1': range(40, 70)}), '--model', 'm.json',
-        naming=["'holed'", 't1', 'from 2340 to 4200 s', '--drop-sensor t1'],
+        naming=["'holed'", 't1', 'from 2340 to 4200 s', 'a model that does without t1'],
     )  # fmt: skip
     end = line.split('--end ')[1].split(',')[0]
     assert fuzzycnc('evaluate', 'holed', '--model', 'm.json', '--end', end).code == 0
+
+
+@pytest.mark.parametrize(
+    'command',
+    [
+        ('train', '--out', 'm.json', *QUICK),
+        ('compare', *QUICK),
+        ('curve', '--counts', '1'),
+    ],
+)
+def test_readings_every_few_minutes_are_taken_as_they_come(
+    fuzzycnc, here, refused, recorded, command
+):
+    bags = [recorded(f'of{rows}', {}, rows=rows, interval=300.0) for rows in (80, 90)]
+    line = refused(*command, *bags, '--interval', '60', naming=['every 60 s', 'one every 300 s'])
+    remedy = line.split('train with an interval of 300 s: ')[1].split(';')[0].split()
+    assert remedy == ['--interval', '300']
+    for options in ((), remedy):
+        outcome = fuzzycnc(*command, *bags, *options, '--json', 'figures.json')
+        assert outcome.code == 0, outcome
+        if command[0] == 'train':
+            assert 'a sample every 300 s' in outcome.out
+            judged = fuzzycnc('evaluate', 'of80', '--model', 'm.json')
+            assert 'of80: judged from' in judged.out
+            Path('m.json').unlink()
+
+
+def test_a_remedy_that_a_command_has_no_option_for_stays_in_words(
+    fuzzycnc, refused, recorded, bag
+):
+    assert fuzzycnc('train', bag('training'), '--out', 'm.json', *QUICK).code == 0
+    slow = recorded('slow', {}, rows=80, interval=300.0)
+    line = refused('evaluate', slow, '--model', 'm.json', naming=['one every 300 s'])
+    assert line.endswith('record faster, or train with an interval of 300 s')
+    assert '--' not in line
+
+
+@pytest.fixture
+def bed(table):
+    """Return tables of a machine with a bed that is heated by 35 K/min, to 165 degC."""
+
+    def recorded(name, rows):
+        columns = warm_up(rows)
+        columns['t3'] = 25.0 + np.minimum(35.0 * np.arange(rows), 140.0) + 0.01 * columns['t1']
+        return table(f'{name}.csv', columns)
+
+    return recorded
+
+
+def test_a_heated_bed_passes_with_limits_of_its_own(fuzzycnc, refused, bed):
+    refused(
+        'import-csv', bed('one', 100), '--out', 'one', *IMPORT,
+        naming=['expected -20 to 120 degC', '--sensor-limits'],
+    )  # fmt: skip
+    hot = ('--sensor-limits', 't3:range_high:200')
+    for name, rows in (('one', 100), ('two', 110)):
+        outcome = fuzzycnc('import-csv', bed(name, rows), '--out', name, *IMPORT, *hot)
+        assert outcome.code == 0, outcome
+    command = ('train', 'one', 'two', '--out', 'm.json', *QUICK)
+    line = refused(*command, naming=['within -20 and 120 degC', '--drop-sensor t3'])
+    assert line.endswith('--sensor-limits t3:range_high:140')
+    line = refused(*command, *hot, naming=['at most 10 K per minute', "'t3'"])
+    fast = line.split('give it limits of its own: ')[1].split()
+    assert fast[0] == '--sensor-limits'
+    outcome = fuzzycnc(*command, *hot, *fast)
+    assert outcome.code == 0, outcome
+    judged = fuzzycnc('evaluate', 'one', '--model', 'm.json', *hot)
+    assert 'one: judged from' in judged.out
 
 
 def holed_run(lost):

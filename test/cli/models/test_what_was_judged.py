@@ -89,7 +89,7 @@ def test_rows_that_were_trained_on_are_named_on_page_and_terminal(fuzzycnc, lagg
     run.rename('copy')  # a name proves nothing
     options = ('--model', 'm.json', '--json', 'e.json', '--report', 'e.html')
     outcome = fuzzycnc('evaluate', 'copy', *options)
-    assert outcome.code == 0, outcome
+    assert outcome.code == bool(read_json('e.json')['false_band']), outcome
     words = 'about 50 % of the judged samples of copy were trained on (run): this is no test'
     assert said(outcome, 'about ') == words
     page = Path('e.html').read_text()
@@ -127,6 +127,44 @@ def test_coverage_and_width_of_the_band_are_printed(fuzzycnc, lagging):
         'next: the band of two standard deviations holds '
         f'{100 * judged["covered"]["dz"]:.0f} % of dz (±{judged["half_width_um"]["dz"]:.1f} µm)'
     )
+
+
+def grown(columns, seed):
+    """Let the machine grow twice as far as it did in training."""
+    columns['dz'] *= 2.0
+
+
+def test_a_band_that_holds_far_less_than_it_promises_is_said_first_and_ends_with_1(
+    fuzzycnc, lagging
+):
+    assert fuzzycnc('train', lagging(), '--out', 'm.json').code == 0
+    options = ('--model', 'm.json', '--json', 'e.json')
+    good = fuzzycnc('evaluate', lagging('good', 1), *options)
+    assert good.code == 0, good
+    assert read_json('e.json')['false_band'] == []
+    outcome = fuzzycnc('evaluate', lagging('bad', 2, grown), *options, '--report', 'e.html')
+    assert outcome.code == 1
+    figures = read_json('e.json')
+    assert figures['false_band'] == figures['judged']['bad']['false_band'] == ['dz']
+    covered = figures['judged']['bad']['covered']['dz']
+    assert covered < 0.9
+    first = outcome.out.splitlines()[0]
+    assert first.startswith(
+        f'bad: the band of two standard deviations holds {100.0 * covered:.0f} % of dz'
+    )
+    assert 'it promises 95 %, and chance does not explain so little of dz' in first
+    assert outcome.out.count('it promises 95 %') == 1
+    judged = Path('e.html').read_text().split('<li')
+    assert 'class="warning">bad: the band of two standard deviations holds' in judged[1]
+
+
+def test_a_band_is_judged_over_all_runs_too(fuzzycnc, lagging):
+    assert fuzzycnc('train', lagging(), '--out', 'm.json').code == 0
+    bags = [lagging(f'bad{seed}', seed, grown) for seed in (1, 2)]
+    outcome = fuzzycnc('evaluate', *bags, '--model', 'm.json', '--jobs', '1')
+    assert outcome.code == 1
+    (line,) = [line for line in outcome.out.splitlines() if line.startswith('over 2 runs')]
+    assert line.startswith('over 2 runs the band holds')
 
 
 def test_a_warm_start_is_told_in_one_line(fuzzycnc, lagging):
@@ -170,8 +208,8 @@ def test_a_model_that_is_worse_than_none_is_called_so(fuzzycnc, lagging):
     assert read_json('t.json')['worse_than_none'] == ['dz']
     options = ('--model', 'm.json', '--json', 'e.json', '--report', 'e.html')
     judged = fuzzycnc('evaluate', lagging('other', 3, unrelated), *options)
-    assert judged.code == 0, judged
     figures = read_json('e.json')
+    assert judged.code == bool(figures['false_band']), judged
     assert figures['worse_than_none'] == figures['judged']['other']['worse_than_none'] == ['dz']
     rows = figures['runs']['other']
     words = (

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fuzzycnc advise`: remedies for a program, and what it writes."""
 
+import contextlib
 import json
 from pathlib import Path
 
@@ -11,8 +12,9 @@ from programs.without_feeds import strip_feeds
 
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.simulation.controller import agreement
 from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
-from fuzzycnc_ros.simulation.controller.program import program_moves
+from fuzzycnc_ros.simulation.controller.program import program_moves, simulate
 from fuzzycnc_ros.studies.programs import advice
 from fuzzycnc_ros.studies.programs.program_judge import ProgramPath
 from fuzzycnc_ros.studies.programs.split_program import check_same_path
@@ -58,7 +60,10 @@ def test_the_fastest_that_keeps_the_tolerance_is_recommended_and_written(fuzzycn
     remedies = found['remedies']
     names = [one['name'] for one in remedies]
     assert names[:3] == ['as it is', 'acceleration of tolerance / C', 'lower acceleration']
-    kept = [one for one in remedies if one['simulated']['error'] <= 20e-6]
+    assert found['aim'] == pytest.approx(
+        20e-6 / max(agreement.LARGEST[one] for one in ('lines', 'arcs'))
+    )
+    kept = [one for one in remedies if one['simulated']['error'] <= found['aim']]
     assert found['kept']
     best = remedies[found['best']]
     assert best in kept
@@ -125,6 +130,68 @@ def test_feeds_are_refined_no_further_than_somebody_wants(fuzzycnc, part, monkey
     durations = [one['simulated']['duration'] for one in found['remedies']]
     assert durations[-1] > advice.LOST * durations[found['best']]
     assert len(tried) <= 12  # of 48
+
+
+class Harder:
+    """A LinuxCNC that accelerates more than it should, so that it leaves more."""
+
+    more = 1.0
+
+    def __init__(self):
+        self.runs = []
+        self._acceleration = (0.0,) * 3
+
+    def limit(self, velocity, acceleration):
+        self._velocity, self._acceleration = velocity, acceleration
+
+    def origin(self):
+        pass
+
+    def run(self, text, timeout):
+        limits = ControllerLimits(
+            velocity=self._velocity,
+            acceleration=tuple(self.more * rise for rise in self._acceleration),
+            path_velocity=0.25,
+        )
+        self.runs.append(text)
+        [found] = simulate(program_moves(read_program(text).blocks), limits)
+        return found.position
+
+
+@pytest.fixture
+def harder(monkeypatch):
+    """Have the command run remedies on such a LinuxCNC."""
+    machine = Harder()
+
+    @contextlib.contextmanager
+    def recording():
+        yield machine
+
+    monkeypatch.setattr('fuzzycnc_ros.adapters.linuxcnc.recorder.recording', recording)
+    return machine
+
+
+@pytest.mark.parametrize('more', [1.12, 1.3])
+def test_what_leaves_too_much_on_linuxcnc_is_looked_for_again_with_a_lower_aim(
+    fuzzycnc, part, harder, more
+):
+    harder.more = more
+    _, found = advised(fuzzycnc, part, '--corners', 'none', '--linuxcnc')
+    remedies, best = found['remedies'], found['remedies'][found['best']]
+    tries = len(harder.runs) - len(remedies)
+    assert 0 < tries <= advice.AGAIN * len(remedies)
+    assert found['kept']
+    assert 0.9 * 20e-6 < best['linuxcnc']['error'] <= 20e-6, 'dropped, or aimed too low'
+    assert best['simulated']['error'] < found['aim']
+    # nothing is left that might be faster
+    for one in remedies:
+        if one['simulated']['error'] <= found['aim'] and one['linuxcnc']['error'] > 20e-6:
+            assert one['linuxcnc']['duration'] >= best['linuxcnc']['duration']
+
+
+def test_what_keeps_the_tolerance_on_linuxcnc_runs_once(fuzzycnc, part, harder):
+    _, found = advised(fuzzycnc, part, '--corners', 'none', '--linuxcnc')
+    assert len(harder.runs) == len(found['remedies'])
 
 
 @pytest.mark.parametrize(

@@ -296,3 +296,39 @@ def test_a_curve_with_a_cusp_is_driven(fuzzycnc):
     Path('cusp.ngc').write_text('\n'.join([*lines, 'X5 Y0 P1', 'G5.3', 'M2', '']))
     options = ('--tolerance', '0.05mm', '--out', 'out.ngc')
     assert fuzzycnc('schedule', 'cusp.ngc', *options).code in (0, 1)
+
+
+@pytest.mark.parametrize(
+    ('option', 'said'),
+    [
+        ([], 'corners rounded by up to 0.01 mm, as the program says (G64 P, G61)'),
+        (['--blend', '0.02mm'], 'corners rounded by up to 0.02 mm, at most'),
+        (['--blend', '0mm'], 'corners stopped at, at most'),
+    ],
+)
+def test_the_rounding_of_the_program_counts_unless_an_option_says_another_one(
+    fuzzycnc, option, said
+):
+    lines = 'G21 G64 P0.01\nG0 X0 Y0 Z0\nG1 F300 X5\nX10 Y1\nX15 Y3\nX20\n'
+    Path('part.ngc').write_text(lines)
+    run = fuzzycnc(
+        'schedule', 'part.ngc', '--tolerance', '0.1mm', '--out', 'out.ngc', '--json', 'f.json',
+        *option,
+    )  # fmt: skip
+    assert run.code == 0, run.out
+    assert said in ' '.join(run.out.split())
+    stops = json.loads(Path('f.json').read_text())['times']['stops']
+    assert stops == (4 if option == ['--blend', '0mm'] else 1)
+
+
+def test_motions_that_are_not_timed_are_counted_in_table_figures_and_remarks(fuzzycnc):
+    Path('part.ngc').write_text('G0 X0 Y0 Z0\nG28 Z0\nG81 X1 Y1 Z-1 R1 F60\nG80\nM2\n')
+    run = fuzzycnc(
+        'schedule', 'part.ngc', '--tolerance', '0.1mm', '--out', 'out.ngc', '--json', 'f.json',
+        '--report', 'page.html',
+    )  # fmt: skip
+    assert run.code == 0, run.out
+    assert json.loads(Path('f.json').read_text())['times']['untimed'] == 2
+    for text in (run.out, Path('page.html').read_text()):
+        assert '2 motions left out of the times' in ' '.join(text.split())
+        assert 'left out of both times: 2 motions, cycles or calls' in ' '.join(text.split())

@@ -237,6 +237,28 @@ def test_bad_and_substituted_sensors_are_named_with_their_cause():
     assert flagged.flag.any(axis=0).tolist() == [False, True, True]
 
 
+def test_clusters_are_those_of_the_model_in_use_though_no_selection_is_published():
+    """A graph that starts with a model file selects nothing."""
+    view = running()
+    clusters = [{'chosen': 't2', 'member': ['t1', 't2']}, {'chosen': 't3', 'member': ['t3']}]
+    model = json.dumps({'selection': {'clusters': clusters}})
+    view.take_configuration(configuration('thermal_predictor', model_hash='h', model=model))
+    assert document(view)['sensors']['clusters'] == [
+        {'chosen': 't2', 'members': ['t1', 't2']},
+        {'chosen': 't3', 'members': ['t3']},
+    ]
+
+
+@pytest.mark.parametrize(
+    'selection', [None, [], {'clusters': None}, {'clusters': [1]}, {'clusters': [{'chosen': 1}]}]
+)
+def test_model_without_readable_clusters_shows_none(selection):
+    view = running()
+    model = json.dumps({'selection': selection})
+    view.take_configuration(configuration('thermal_predictor', model_hash='h', model=model))
+    assert document(view)['sensors']['clusters'] == []
+
+
 @pytest.mark.parametrize(
     ('state', 'word'),
     [
@@ -605,3 +627,11 @@ def test_recordings_of_here_and_of_elsewhere_are_told():
     assert document(view)['recording'] is None
     view.set_recording('own')
     assert document(view)['recording'] == {'active': True, 'bag': 'own'}
+
+
+def test_a_compensator_that_was_shut_down_for_good_is_told_so():
+    view = running()
+    view.take_configuration(configuration(lifecycle_state='finalized'))
+    shown = document(view)
+    assert 'was shut down for good; end its process' in shown['state']['why']
+    assert shown['nodes'][0]['lifecycle'] == 'finalized'

@@ -292,6 +292,19 @@ def test_learnt_offsets_take_the_place_of_the_models(model):
     assert bench.stitch(pattern(time=3.0))[0].model == text_hash(model)
 
 
+def test_learnt_offsets_are_taken_as_a_model_too(model):
+    as_offsets, _ = Compensator(model, offsets=learnt()).stitch(pattern())
+    bench = Compensator(learnt())
+    as_model, _ = bench.stitch(pattern())
+    assert as_model.offset.tolist() == as_offsets.offset.tolist()
+    assert as_model.model == as_offsets.model
+    assert 'OK state: track: learnt offsets' in bench.health()
+    other = Compensator(learnt(path_id='other'))
+    unchanged, _ = other.stitch(pattern())
+    assert not np.any(unchanged.offset)
+    assert 'WARN offsets: learnt offsets not used' in other.health()
+
+
 def test_learnt_offsets_keep_the_limits(model):
     far = np.zeros_like(TRACK.points)
     far[40:60] = (0.0, 20e-3)

@@ -119,7 +119,7 @@ def test_a_pattern_without_a_sheet_is_refused_and_not_kept():
         (lambda text: text[: len(text) // 2], 'model file: expected JSON'),
         (lambda text: '{}', "model file: expected an object with 'schema'"),
         (lambda text: text.replace('"depth_ratio"', '"width"'), 'inputs out of cos, sin'),
-        (lambda text: text.replace('"schema_version": 1', '"schema_version": 2'), 'train the mod'),
+        (lambda text: text.replace('"schema_version": 1', '"schema_version": 3'), 'train the mod'),
     ],
     ids=['cut', 'empty', 'features', 'version'],
 )

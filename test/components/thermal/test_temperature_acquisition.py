@@ -62,7 +62,7 @@ def test_five_readings_are_averaged_into_one_sample():
 
 
 @given(
-    st.lists(st.floats(min_value=-15.0, max_value=100.0), min_size=5, max_size=5),
+    st.lists(st.floats(min_value=4.0, max_value=100.0), min_size=5, max_size=5),
     st.floats(min_value=-3.0, max_value=3.0),
 )
 def test_sample_lies_within_its_readings_and_moves_with_them(values, shift):
@@ -466,3 +466,56 @@ def test_an_infinite_reading_is_none():
     newest = bench.records('temperatures')[-1]
     assert np.isnan(newest.temperature[0])
     assert newest.status.tolist() == [Status.MISSING, Status.OK]
+
+
+@pytest.mark.parametrize('tiny', [2.4e-41, -5e-324, 9e-7])
+def test_next_to_nothing_is_no_reading(tiny):
+    bench = bench_of()
+    sample = feed(bench, 5, lambda k: np.array([20.0, tiny, 21.0]))[-1]
+    assert statuses(sample) == [Status.OK, Status.MISSING, Status.OK]
+    (line,) = [item for item in bench.component.health() if item.name == 'sensors']
+    assert 'which no sensor does' in line.message
+
+
+def test_zero_is_a_reading_of_a_sensor_that_has_read_something_else():
+    bench = bench_of()
+    first = feed(bench, 5, lambda k: np.array([20.0, 0.0, 0.5]))[-1]
+    assert statuses(first) == [Status.OK, Status.MISSING, Status.OK]
+    (line,) = [item for item in bench.component.health() if item.name == 'sensors']
+    assert 'missing (has read 0 since the start)' in line.message
+    second = feed(bench, 5, lambda k: np.array([20.0, 0.25, 0.0]), start=60.0)[-1]
+    assert statuses(second) == [Status.OK, Status.OK, Status.OK]
+
+
+def heated(time):
+    """Return a spindle at rest and a bed that warms by 35 K/min to 140 degC."""
+    bed = 25.0 + 35.0 / 60.0 * np.clip(time - 60.0, 0.0, 200.0) + 1e-4 * time
+    return np.array([20.0 + 1e-4 * time, bed])
+
+
+def test_a_heated_bed_has_limits_of_its_own():
+    usual = feed(bench_of(), 24, heated)
+    assert statuses(usual[-1]) == [Status.OK, Status.OUT_OF_RANGE]
+    assert Status.RATE in {statuses(sample)[1] for sample in usual}
+    own = bench_of(sensor_limits=('T2:rate_max:0.6', 'T*:range_high:150'))
+    for sample in feed(own, 24, heated):
+        assert statuses(sample) == [Status.OK, Status.OK]
+    # Its limits are no licence: what is faster, or hotter, is still refused, and others as before.
+    wild = feed(own, 7, lambda time: np.array([60.0, 151.0 + 1e-3 * time]), start=288.0)[-1]
+    assert statuses(wild) == [Status.RATE, Status.OUT_OF_RANGE]
+
+
+def test_a_bed_that_is_read_once_a_minute_may_warm_for_a_minute():
+    bench = bench_of(sensor_limits=('T1:rate_max:0.6',))
+    for minute in range(1, 4):
+        bench.give('sensor_readings', readings(60.0 * minute, [20.0 + 35.0 * (minute - 1)]))
+    assert [statuses(sample) for sample in bench.records('temperatures')] == [[Status.OK]] * 3
+
+
+@pytest.mark.parametrize(
+    'text',
+    ['T1', 'T1:rate_max', 'T1:rate_max:fast', 'T1:speed:1', ':noise_band:1', 'T1:rate_max:nan'],
+)
+def test_limits_that_are_none_are_refused(text):
+    with pytest.raises(ValueError, match='sensor_limits: expected SENSOR:LIMIT:VALUE'):
+        bench_of(sensor_limits=(text,))

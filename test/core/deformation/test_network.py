@@ -246,7 +246,10 @@ def test_rows_of_no_primitive_are_refused(data, trained, column, value, message)
     [
         ({'consequent': 'tsk'}, 'consequent: expected one of'),
         ({'training': 'adam'}, 'training: expected one of'),
-        ({'features': 'all'}, 'features: expected one of load, physical, thickness, paper'),
+        (
+            {'features': 'all'},
+            'features: expected one of load, directions, physical, thickness, paper',
+        ),
         ({'ridge': 0.0}, 'ridge: expected more than 0'),
         ({'width_floor': 0.0}, 'width_floor: expected more than 0'),
         ({'n_rules': 0}, 'n_rules: expected at least 1'),

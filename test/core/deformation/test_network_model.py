@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from fuzzing.file_mutations import one_of_each, places_of_numbers
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -48,11 +49,12 @@ def test_a_foot_too_deep_for_its_sheet_is_always_refused(
 @settings(deadline=None, max_examples=100)
 @given(
     row=st.integers(0, 264),
-    angle=st.one_of(st.floats(-180.0, -1e-5), st.floats(60.00001, 180.0)),
+    angle=st.floats(60.00001, 179.99999),
+    turns=st.integers(-3, 3),
 )
-def test_an_angle_outside_the_box_is_always_refused(data, model, row, angle):
+def test_an_angle_outside_the_box_is_always_refused(data, model, row, angle, turns):
     x = data.x[row].copy()
-    x[0] = angle
+    x[0] = angle + 180.0 * turns
     assert not model.accepts([x])[0]
 
 
@@ -134,27 +136,47 @@ def changed(document, path, value):
     ('path', 'value', 'message'),
     [
         (('schema',), 'fuzzycnc/thermal-model', 'expected the schema'),
-        (('schema_version',), 2, 'expected schema version 1'),
+        (('schema_version',), 3, 'expected schema version 1 or 2'),
+        (('schema_version',), 2, 'expected none in version 2'),
         (('features',), 'all', 'expected one of load'),
         (('inputs',), ['sin', 'cos'], 'in this order'),
         (('inputs',), ['cos'], 'expected 1 numbers'),
         (('rules', 'center', 0), [1.0], 'expected 6 numbers'),
-        (('rules', 'width', 0, 0), 0.0, 'expected positive widths'),
-        (('rules', 'decay'), -1.0, 'expected more than 0'),
+        (('rules', 'width', 0, 0), 0.0, 'expected a number from 1e-09'),
+        (('rules', 'decay'), -1.0, 'expected a number from 1e-09'),
         (('rules', 'power'), 3, 'expected 1 or 2'),
         (('inner', 0), [[1.0] * 7], 'expected 2 matrices of equal size'),
         (('outer', 0, 0, 0), None, 'expected a number'),
         (('outer',), [[[0.0] * 10]] * 2, 'as many rows as there are hidden nodes'),
-        (('offset',), [0.0], 'expected two numbers'),
+        (('offset',), [0.0], 'expected 2 numbers'),
         (('gate', 'low'), [0.0], 'expected 5 numbers'),
         (('gate', 'high', 0), -99.0, 'expected no value below'),
-        (('gain', 'value', 0), 9.0, 'expected gains from 0.5 to 2'),
-        (('gain', 'variance', 0), -1.0, 'expected no negative variance'),
+        (('gain', 'value', 0), 9.0, 'expected a number from 0.5 to 2'),
+        (('gain', 'variance', 0), -1.0, 'expected a number from 0 to'),
     ],
 )
 def test_a_document_that_is_no_model_is_refused(model, path, value, message):
     with pytest.raises(ModelFileError, match=message):
         read_model(changed(json.loads(write_model(model)), path, value))
+
+
+@pytest.mark.filterwarnings('ignore::RuntimeWarning')
+def test_no_number_makes_a_model_predict_what_is_not_finite(model):
+    document = json.loads(write_model(model))
+    inputs = foam_samples(22).x
+    wrong = []
+    for path in one_of_each(places_of_numbers(document)):
+        for value in (5e-324, 1e-300, -1.0, 0.0, 1e13, -1e13, 1e300, 1e308):
+            try:
+                found = read_model(changed(document, path, value)).predict(inputs)
+            except ModelFileError as error:
+                field = next(key for key in reversed(path) if isinstance(key, str))
+                if field not in str(error):
+                    wrong.append(f'{path} = {value}: {error}')
+            else:
+                if not np.isfinite(found).all():
+                    wrong.append(f'{path} = {value}: {found}')
+    assert not wrong
 
 
 def test_text_that_is_no_document_is_refused(model):

@@ -13,6 +13,7 @@ from fuzzycnc_ros.core.feedrate.gcode.segments import (
     ArcSegment,
     DwellSegment,
     NurbsSegment,
+    ProgramError,
     sample_path,
 )
 
@@ -144,6 +145,38 @@ def test_a_rounded_arc_meets_both_of_its_points():
     assert tuple(point[0]) == arc.start
     assert tuple(point[-1]) == arc.end
     assert np.abs(np.hypot(*point[:, :2].T) - 10.0 * MM).max() < 6e-6
+
+
+@pytest.mark.parametrize(
+    ('unit', 'radius', 'misfit', 'fits'),
+    [
+        # As `rs274` of LinuxCNC takes and refuses them.
+        ('G21', 5.0, 0.016, True),
+        ('G21', 5.0, 0.0282, True),
+        ('G21', 5.0, 0.0284, False),
+        ('G21', 500.0, 0.48, True),
+        ('G21', 500.0, 0.52, False),
+        ('G21', 50_000.0, 2.8, True),
+        ('G21', 50_000.0, 3.0, False),
+        ('G20', 0.2, 0.00282, True),
+        ('G20', 0.2, 0.00287, False),
+    ],
+)
+def test_an_arc_may_miss_its_radius_as_far_as_linuxcnc_lets_it(unit, radius, misfit, fits):
+    text = f'{unit}\nG0 X{radius}\nF100\nG2 X-{radius} Y0 I-{radius + 0.5 * misfit:.6f}\n'
+    if not fits:
+        with pytest.raises(ProgramError, match=r'line 4: .*radius does not fit'):
+            read_program(text)
+        return
+    program = read_program(text)
+    arc, scale = program.segments[-1], 25.4 * MM if unit == 'G20' else MM
+    assert arc.misfit == pytest.approx(misfit * scale, rel=1e-3)
+    assert arc.length == pytest.approx(math.pi * radius * scale, rel=2e-3)
+    assert 'its radius changes along the way' in str(program.notes[-1])
+
+
+def test_an_arc_that_is_off_by_rounding_is_no_remark():
+    assert read_program('G0 X10\nG3 X0.005 Y9.995 I-10 F100\n').notes == ()
 
 
 def test_a_dwell_stands_still_and_sets_no_feed():

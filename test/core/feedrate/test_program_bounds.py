@@ -6,6 +6,10 @@ import pytest
 
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.gcode.segments import ProgramError
+from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
+from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantNormalAcceleration
+from fuzzycnc_ros.core.feedrate.schedule.program_run import ProgramRun, Source
+from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
 
 CURVE = 'G21 G90\nG0 X0 Y0 Z0\nG5.2 X3 Y4 P{weight} L{order} F300\nX5 Y6\nX7 Y{y}\nX9 Y4\nG5.3\n'
 
@@ -16,6 +20,63 @@ def test_lengths_of_no_machine_are_refused(letter, number):
     text = f'G21\nF600\nG1 X0 Y0 Z0\nG2 X1 Y0 {letter}{number}\n'
     with pytest.raises(ProgramError, match=r'line 4: expected lengths up to 1e\+06 but found'):
         read_program(text)
+
+
+@pytest.mark.parametrize(
+    ('line', 'said'),
+    [
+        ('G2 X0 Y0 I1 J0 P100000000', 'no more than 1,000 turns of an arc but found 99,999,999'),
+        ('G3 X0 Y0 Z5 I1 J0 P1002', 'no more than 1,000 turns of an arc but found 1,001'),
+        ('G2 X0 Y0 I1 J0 TURN=2000', 'no more than 1,000 turns of an arc but found 2,000'),
+        ('G4 P' + '9' * 200, r'at least 0 s and at most 1e\+07 s'),
+        ('G1 X1 F0.' + '0' * 30 + '1', r'a feed from 0\.001 to 1e\+09 but found F1e-31'),
+        ('G1 X1 F' + '9' * 200, r'a feed from 0\.001 to 1e\+09'),
+        ('G1 X' + '9' * 100_000 + '!', 'finite number'),
+        ('G1 X' + '1 ' * 50_000 + '!', 'finite number'),
+        ('G1 X' + '[' * 100_000, 'unbalanced'),
+        ('G1 X#[' + '-' * 100_000, 'unbalanced'),
+        ('(' * 100_000, 'unbalanced'),
+        ('G5.2 X1 Y1 P1 L3' + '\nX1 Y1' * 2000, 'at most 2,000 control points'),
+    ],
+)
+def test_what_would_take_for_ever_is_refused_by_its_line(line, said):
+    with pytest.raises(ProgramError, match=said) as caught:
+        read_program(f'G21 G90\nG0 X0 Y0 Z0\nG1 Z1 F100\n{line}\n')
+    assert caught.value.line == 4 + line.count('\n')
+
+
+def test_the_turns_of_all_arcs_are_counted_in_loops_too():
+    arc = 'G2 X0 Y0 I1 J0 P1000\n'
+    head = 'G0 X0 Y0\nF100\n'
+    assert len(read_program(head + 10 * arc).segments) == 11
+    with pytest.raises(ProgramError, match='10,000 turns of all arcs of a program'):
+        read_program(head + 11 * arc)
+    loop = f'{head}o1 repeat [1000000000000]\n{arc}o1 endrepeat\n'
+    with pytest.raises(ProgramError, match=r'line 4: .*10,000 turns of all arcs of a program'):
+        read_program(loop)
+
+
+def test_an_arc_whose_turns_the_control_computes_is_left_to_it():
+    program = read_program('G0 X0 Y0\nF100\nG2 I1 P#5\nG1 X1 Y0 Z0\n')
+    assert 'an arc whose P the controller computes' in str(program.notes[-1])
+
+
+def test_many_turns_are_scheduled_in_parts():
+    """Blocks are taken until their turns are many: memory does not grow with them."""
+    parts = []
+    text = 'G0 X0 Y0\nF100\n' + 'G2 X0 Y0 I0.01 J0 P700\n' * 6
+    law = ConstantNormalAcceleration(feed_max=0.2, normal_acceleration=0.1)
+    limits = MotionLimits(path_velocity=0.25, path_acceleration=1.5)
+    program = read_program(text)
+    run = ProgramRun(
+        ProgramSettings(scheduler=law, limits=limits), Source(program.blocks[2:]), parts.append
+    )
+    assert [len(chunk) for chunk, _ in run._chunks()] == [3, 3, 0]
+
+
+def test_a_cycle_that_is_repeated_for_ever_ends_nowhere():
+    program = read_program('G91 F100\nG81 X1 Y1 Z-1 R1 L999999999\nG80 G90 G1 X0\nX1\n')
+    assert [part.line for part in program.segments if part.schedulable] == []
 
 
 def test_other_numbers_may_be_large():

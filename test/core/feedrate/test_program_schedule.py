@@ -3,6 +3,7 @@
 """Part programs scheduled: a feed for each block, times within limits, streams of any length."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -246,10 +247,41 @@ def test_what_is_not_scheduled_counts_as_well():
     assert found.rapid == pytest.approx(2.0 * math.sqrt(0.01 / 4.0), rel=1e-12)
     assert found.dwell == 1.5
     assert found.kept == pytest.approx(0.03 / 0.1, rel=1e-12)
-    assert found.untimed == 1  # G93; where Z goes at last is no motion of the program's
+    assert found.untimed == 2  # G93, and where Z goes at last, which the control computes
     line = 0.03 / 0.1 + 0.1 / 1.5
     assert found.duration == pytest.approx(line + found.rapid + 1.5 + found.kept, rel=1e-12)
     assert found.programmed == pytest.approx(found.duration, rel=1e-12)
+
+
+def test_relative_moves_from_an_unknown_place_are_timed():
+    text = 'G0 X0 Y0 Z0\nG10 L2 P1 X0\nG91\nG1 X100 F500\nY100\nG0 Z10\nG1 X-100\n'
+    found = schedule_program(read_program(text), made()).times
+    assert found.kept == pytest.approx(36.0, rel=1e-12)
+    assert found.rapid == pytest.approx(2.0 * math.sqrt(0.01 / 4.0), rel=1e-12)
+    assert (found.duration, found.untimed) == (found.programmed, 0)
+    assert found.duration == pytest.approx(36.0 + found.rapid, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ('line', 'untimed', 'kept'),
+    [
+        ('G28 Z0', 1, 0.0),
+        ('G81 X1 Y1 Z-1 R1', 1, 0.0),
+        ('M98 P100', 1, 0.0),
+        ('CYCLE81(1,2)', 1, 0.0),
+        ('G4 P#5', 1, 0.0),
+        ('G4 S30', 1, 0.0),
+        ('G1 E5', 1, 0.0),
+        ('G1 A90', 1, 0.0),
+        ('/G1 X40', 0, 6.0),  # the feed of a line that may be skipped is known
+        ('M8', 0, 0.0),
+        ('G54', 0, 0.0),
+    ],
+)
+def test_what_is_not_timed_is_counted(line, untimed, kept):
+    text = f'G1 X30 Y0 Z0 F100\n{line}\n'
+    found = schedule_program(read_program(text), made()).times
+    assert (found.untimed, found.kept) == (untimed, pytest.approx(kept))
 
 
 def test_the_time_of_a_whole_path_is_that_of_the_motion_along_it():
@@ -432,3 +464,97 @@ def test_a_real_program_keeps_its_path(gcode, name, blend):
     assert times.duration >= times.programmed * (1.0 - 1e-3)
     # a bound by what the words ask for; braking and rounded corners are the controller's
     assert times.error <= times.programmed_error * (1.0 + 1e-6)
+
+
+CORNERS = '{}\nG0 X0 Y0 Z0\nG1 F6000 X5\nX10 Y1\nX15 Y3\nX20 Y3\nX25 Y2\n'
+
+
+@pytest.mark.parametrize(
+    ('word', 'blend'),
+    [
+        ('G64 P0.01', 1e-5),
+        ('G20\nG64 P0.001\nG21', 25.4e-6),
+        ('G64 P0.01 Q0.02', 1e-5),
+        ('G64 P0.01\nG64 P0.03', 3e-5),
+        ('G61', 0.0),
+        ('G61.1', 0.0),
+        ('G64 P0.01\nG61', 0.0),
+        ('G64', None),
+        ('G64 P0', None),
+        ('G64 P#1', None),
+        ('G642', None),
+        ('', None),
+    ],
+)
+def test_how_the_program_rounds_corners_counts_before_the_setting(word, blend):
+    """P of G64 is a tolerance; without P the control decides, and the setting counts."""
+    if word.startswith('G20'):
+        word, blend = 'G20\nG64 P0.001\nG21', 25.4e-6
+    setting = 5e-5
+    asked = setting if blend is None else blend
+    wanted = schedule_program(read_program(CORNERS.format('')), made(blend=asked)).times
+    program = read_program(CORNERS.format(word))
+    found = schedule_program(program, made(blend=setting)).times
+    # the lines in front count
+    assert replace(found, blocks=0) == replace(wanted, blocks=0)
+    # who gives the setting of a machine that follows it may refuse the program's word
+    other = schedule_program(program, made(blend=setting, own_corners=False)).times
+    plain = schedule_program(read_program(CORNERS.format('')), made(blend=setting)).times
+    assert replace(other, blocks=0) == replace(plain, blocks=0)
+
+
+def test_a_change_of_the_rounding_splits_a_run():
+    text = CORNERS.format('G64 P0.01') + 'G61\nX30 Y5\nX35 Y5\nG64 P0.02\nX40 Y4\nX45 Y5\n'
+    scheduler = ProgramScheduler(made())
+    for _ in scheduler.schedule(read_program(text).blocks):
+        pass
+    assert scheduler.corners == {1e-5, 0.0, 2e-5}
+    # at the changes, at both corners under G61, and at the end
+    assert scheduler.times.stops == 4
+
+
+_O, _A, _B, _C = (0.0, 0.0), (4.0, 0.0), (8.0, 3.0), (12.0, 0.0)
+REPEATED = {
+    'start of order 3': (3, [_O, _O, _A, _B, _C]),
+    'start, straight': (3, [_O, _O, _A]),
+    'start, more than order 4': (4, [_O, _O, _O, _O, _A, _B, _C]),
+    'middle': (3, [_A, _B, _B, _B, _C, (12.0, 9.0)]),
+    'middle, more than order 4': (4, [_A, _B, _B, _B, _B, _B, _C, _A]),
+    'end': (3, [_A, _B, _C, _C, _C]),
+    'end, more than order 4': (4, [_A, _B, _C, _C, _C, _C, _C]),
+    'everywhere': (3, [_O, _O, _A, _A, _A, _B, _B, _B]),
+    'straight back': (3, [_A, _O]),
+    'back in a knot': (4, [_A, (8.0, 0.0), _A, _O]),
+    'back in the middle': (3, [_A, _C, _A, _C, _A]),
+}
+
+
+@pytest.mark.parametrize('name', REPEATED)
+def test_a_curve_that_stands_still_or_turns_back_is_scheduled(name):
+    order, points = REPEATED[name]
+    words = [f'X{x} Y{y} P1' for x, y in points]
+    text = f'G0 X0 Y0\nF600\nG5.2 L{order} {words[0]}\n' + '\n'.join(words[1:]) + '\nG5.3\n'
+    program = read_program(text)
+    curve = program.segments[-1].curve
+    found = schedule_program(program, made())
+    # the way of a fine polygon, from rest to rest
+    u = np.linspace(*curve.domain, 20_001)
+    way = float(np.linalg.norm(np.diff(curve.point(u), axis=0), axis=1).sum())
+    assert found.times.length == pytest.approx(way, rel=1e-4)
+    feed = float(found.feeds[-1])
+    assert 0.0 < feed <= 0.01
+    assert found.duration >= way / 0.01 * (1.0 - 1e-4)
+    path = found.paths[-1].path
+    assert np.isfinite(path.curvature).all()
+    assert (
+        np.linalg.norm(path.geometry.coefficient[-1, 5, :2] - 1e-3 * np.array(points[-1])) < 1e-9
+    )
+
+
+@pytest.mark.parametrize('words', ['X0 Y0', 'X0 Y0 P2'])
+def test_a_curve_of_one_point_is_refused_by_its_line(words):
+    text = f'G0 X0 Y0\nF600\nG5.2 L3 {words}\n{words}\n{words}\nG5.3\n'
+    with pytest.raises(
+        ValueError, match=r'line 3: no NURBS curve begins here: .*one and the same'
+    ):
+        schedule_program(read_program(text), made())

@@ -13,6 +13,8 @@ from fuzzycnc_ros.core.thermal.band import (
     coverage,
     fitted_band,
     held_out_deviation,
+    independent_residuals,
+    is_false_band,
 )
 from fuzzycnc_ros.core.thermal.domain import trained_domain
 from fuzzycnc_ros.core.thermal.fit import GreyModel, LagRidge, select_sensors
@@ -100,6 +102,60 @@ def test_gaps_and_divergence():
     shares = coverage(residual, np.array([1.0, 0.4, 1.0]))
     assert np.isnan(shares[0])
     assert shares[1:].tolist() == [0.0, 2.0 / 3.0]
+
+
+def test_an_error_that_lasts_counts_as_one_residual():
+    rng = np.random.default_rng(0)
+    noise, samples = rng.standard_normal((5000, 1)), np.ones((5000, 1))
+    assert independent_residuals(noise, samples)[0] == pytest.approx(5000, rel=0.1)
+    assert independent_residuals(3.0 + 0.01 * noise, samples)[0] == pytest.approx(1.0, abs=0.1)
+    slow = np.zeros((20000, 1))
+    for k in range(1, len(slow)):
+        slow[k] = 0.9 * slow[k - 1] + rng.standard_normal()
+    # Of a first-order process (1 - pole) / (1 + pole) of the samples are independent.
+    expected = 20000 * 0.1 / 1.9
+    assert independent_residuals(slow, np.ones_like(slow))[0] == pytest.approx(expected, rel=0.25)
+    assert independent_residuals(slow, 7.0 * np.ones_like(slow))[0] == pytest.approx(
+        independent_residuals(slow, np.ones_like(slow))[0]
+    )
+
+
+def test_gaps_divergence_and_no_band_do_not_disturb_the_number_of_residuals():
+    residual = np.array([[np.nan, 1.0], [np.nan, np.inf], [np.nan, np.nan], [np.nan, -1.0]])
+    number = independent_residuals(residual, np.zeros((4, 2)))
+    assert number[0] == 0.0
+    assert 1.0 <= number[1] <= 3.0
+
+
+@pytest.mark.parametrize('independent', [1, 2, 5, 30, 400])
+def test_a_true_band_is_seldom_called_false(independent):
+    residual = np.random.default_rng(0).standard_normal((2000, independent))
+    found = [
+        is_false_band((np.abs(row) <= WIDTH).mean(), np.sqrt((row**2).mean()), independent)
+        for row in residual
+    ]
+    assert np.mean(found) <= 0.07
+
+
+@pytest.mark.parametrize('independent', [1, 2, 5, 30, 400])
+def test_a_band_of_a_third_of_the_residuals_is_called_false(independent):
+    residual = 3.0 * np.random.default_rng(1).standard_normal((500, independent))
+    found = [
+        is_false_band((np.abs(row) <= WIDTH).mean(), np.sqrt((row**2).mean()), independent)
+        for row in residual
+    ]
+    assert np.mean(found) >= (0.45 if independent == 1 else 0.7)
+
+
+def test_a_band_is_false_only_where_chance_and_few_samples_do_not_explain_it():
+    assert not is_false_band(np.nan, np.nan, 0.0)
+    assert not is_false_band(0.91, 1.3, 1e6)  # less than 95 %, but not far from it
+    assert is_false_band(0.85, 1.3, 100.0)
+    assert not is_false_band(0.85, 1.3, 6.0)
+    assert is_false_band(0.14, 2.1, 1.0)
+    assert not is_false_band(0.14, 2.1, 1.0, runs=3)
+    assert is_false_band(0.14, 2.1, 2.0, runs=2)
+    assert is_false_band(0.6, 3.0, 1.0)  # few are outside, but they are far outside
 
 
 def stacked(runs, names, sensors):

@@ -26,11 +26,13 @@ def model():
         ({'sensor': ('s0',) * 8}, 'sensor: expected each sensor once'),
         ({'input': ('s0', 'x')}, 'input: expected inputs among .* but found x'),
         ({'moment': np.eye(3)}, 'moment: expected finite numbers of shape'),
-        ({'moment': np.triu(np.ones((8, 8)))}, 'moment: expected a symmetric matrix'),
-        ({'moment': -np.eye(8)}, 'moment: expected a symmetric matrix'),
+        ({'moment': np.triu(np.ones((8, 8)))}, 'moment: expected mean products'),
+        ({'moment': -np.eye(8)}, 'moment: expected mean products'),
+        ({'moment': 5e-324 * np.eye(8)}, 'moment: expected mean products'),
+        ({'moment': 3.0 - 2.0 * np.eye(8)}, 'moment: expected mean products'),
         ({'missed': np.full(8, np.nan)}, 'missed: expected finite numbers'),
-        ({'missed': np.full(8, -0.1)}, 'missed: expected 0 K or more'),
-        ({'leverage': np.full(8, -1.0)}, 'leverage: expected 0 or more'),
+        ({'missed': np.full(8, -0.1)}, 'missed: expected numbers from 0'),
+        ({'leverage': np.full(8, -1.0)}, 'leverage: expected numbers from 0'),
     ],
 )
 def test_parts_that_do_not_belong_together_are_refused(model, changes, message):

@@ -52,10 +52,13 @@ def zigzag(seed, count=30):
 
 def test_a_line_takes_its_trapezoid():
     # up to 0.1 m/s in 50 ms and 2.5 mm, and down again
-    found = only('G1 X100 F6000\n')
-    assert found.duration == pytest.approx(0.95 + 2 * 0.05, abs=2 * PERIOD)
-    short = only('G1 X2 F6000\n')
-    assert short.duration == pytest.approx(2.0 * sqrt(2e-3 / 2.0), abs=2 * PERIOD)
+    found = only('G61 G1 X100 F6000\n')
+    assert found.duration == pytest.approx(0.95 + 2 * 0.05, abs=4 * PERIOD)
+    short = only('G61 G1 X2 F6000\n')
+    assert short.duration == pytest.approx(2.0 * sqrt(2e-3 / 2.0), abs=4 * PERIOD)
+    # the last move of G64 might have to share its acceleration with a next one
+    half = only('G64 G1 X100 F6000\n')
+    assert half.duration == pytest.approx(0.9 + 2 * 0.1, abs=4 * PERIOD)
 
 
 @pytest.mark.parametrize('seed', range(6))
@@ -93,6 +96,15 @@ def test_less_is_slower_and_nearer(seed):
     assert errors == sorted(errors, reverse=True)
     tighter = path.run(with_mode(program, PathMode(5e-6, 0.0)), LIMITS, ContouringConfig())
     assert tighter.duration >= path.run(program, LIMITS, ContouringConfig()).duration - PERIOD
+
+
+def test_long_ways_end_and_rests_stand():
+    """A way of 20 m is not told from its end by less than some femtometres."""
+    found = only('G61 G1 X20000 F24000\nG4 P0.5\nX0 Y3\nG4 P0.25\n')
+    still = np.abs(np.diff(found.position, axis=0)).max(axis=1) < 1e-12
+    assert found.position[[0, -1]] == pytest.approx(np.array([[0, 0, 0], [0, 0.003, 0]]))
+    assert still.sum() * PERIOD == pytest.approx(0.75, abs=0.02)
+    assert found.position.max() < 20.0 + 1e-9
 
 
 def test_no_corner_is_faster_than_the_look_ahead_can_brake_for():
@@ -151,6 +163,7 @@ def test_waits_and_gaps():
         ('infinity', 'G64 P0.01', 12000, 2.03, 384.8),
         ('infinity', 'G64 P0.01 Q0', 12000, 2.64, 348.4),
         ('infinity', 'G64 P0.01', 3000, 6.22, 174.3),
+        ('infinity', 'G61', 12000, 27.03, 33.0),
     ],
 )
 def test_what_linuxcnc_took_and_left(name, mode, feed, duration, error):
@@ -161,5 +174,5 @@ def test_what_linuxcnc_took_and_left(name, mode, feed, duration, error):
     lines = ''.join(f'X{x:.5f} Y{y:.5f}\n' for x, y in point[1:, :2])
     program = moves(f'{start}{mode}\nG1 F{feed}\n{lines}')
     judged = ProgramPath(program).run(program, LIMITS, ContouringConfig())
-    assert judged.duration == pytest.approx(duration, rel=0.05)
-    assert 1e6 * judged.error == pytest.approx(error, rel=0.1)
+    assert judged.duration == pytest.approx(duration, abs=0.01)
+    assert 1e6 * judged.error == pytest.approx(error, rel=0.015)

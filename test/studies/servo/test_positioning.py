@@ -56,7 +56,7 @@ def test_lengths_read_well(length, text):
 
 def test_table_and_document_of_a_move():
     run = make_run()
-    table = positioning.positioning_table(run, 'pid', 'a move')
+    table = positioning.positioning_table(run, LABELS['pid'], 'a move')
     assert table.rows == ((LABELS['pid'], '0.500', '0.00', '1.00', '50'),)
     assert 'after 0.75 s' in table.columns[3].heading
     assert positioning.positioning_remarks(run) == []
@@ -77,7 +77,7 @@ def test_table_and_document_of_a_move():
 def test_what_went_wrong_is_said(run, remark):
     (line,) = positioning.positioning_remarks(run)
     assert line.startswith(remark)
-    assert positioning.positioning_table(run, 'pid', 'a move').rows[0][1] == '-'
+    assert positioning.positioning_table(run, LABELS['pid'], 'a move').rows[0][1] == '-'
 
 
 @pytest.mark.parametrize('rows', [1000, 4000])
@@ -94,16 +94,15 @@ def test_error_axis_shows_the_band_and_all_errors(rows):
 def test_page_of_a_move_is_whole_and_always_the_same():
     pytest.importorskip('matplotlib')
     run = make_run()
-    table = positioning.positioning_table(run, 'variable_universe', 'a move')
+    label = LABELS['variable_universe']
+    table = positioning.positioning_table(run, label, 'a move')
     pages = [
-        render_page(
-            positioning.positioning_page(run, 'variable_universe', table, {'Axis': 'lathe'})
-        )
+        render_page(positioning.positioning_page(run, label, table, {'Axis': 'lathe'}))
         for _ in range(2)
     ]
     assert pages[0] == pages[1]
     assert '<svg' in pages[0]
-    assert LABELS['variable_universe'] in pages[0]
+    assert label in pages[0]
 
 
 def comparison(moves=10):

@@ -15,6 +15,7 @@ from fuzzycnc_ros.core.thermal.fit.selection import SensorCount
 from fuzzycnc_ros.studies.page.html import Remark
 from fuzzycnc_ros.studies.thermal.comparison import (
     best_candidates,
+    best_lines,
     best_of,
     by_channel,
     comparison_document,
@@ -56,6 +57,8 @@ def held_out(run='T2', samples=(8, 8), refused=None, default='lag_ridge', **rms)
         trained_on={},
         covered=np.array([0.95, 0.5]),
         half_width=um(4, 6),
+        independent=np.array([8.0, 1.0]),
+        band_ratio=np.array([1.0, 1.5]),
         time=60.0 * np.arange(8),
         measured=measured,
         predicted={name: measured - values for name, values in rms.items()},
@@ -82,8 +85,8 @@ def test_table_of_a_run_marks_what_is_refused_and_never_calls_it_best():
         'Uncompensated': ('20.0', '40.0', '10.0', '20.0'),
         'Static ridge': ('3.0', '6.0', '4.0', '8.0'),
         'LagRidge': ('2.0', '4.0', '5.0', '10.0'),
-        'MLP *': ('1.0', '2.0', '1.0', '2.0'),
-        'ARMA *': ('diverged', 'diverged', '3.0', '6.0'),
+        'MLP † *': ('1.0', '2.0', '1.0', '2.0'),
+        'ARMA † *': ('diverged', 'diverged', '3.0', '6.0'),
         'Default': ('2.0', '4.0', '5.0', '10.0'),
     }
     assert strong(table) == {
@@ -136,7 +139,7 @@ def test_best_over_all_runs_is_trusted_on_each():
         'arma': {'T3': 'its prediction diverged'},
     }
     assert best_candidates(two) == {'Y': 'lag_ridge', 'Z': 'static_ridge'}
-    assert cells(pooled_table(two))['ARMA *'] == ('diverged',) * 4
+    assert cells(pooled_table(two))['ARMA † *'] == ('diverged',) * 4
     assert pooled_refusal_lines(two) == [
         'MLP is not to be trusted: refused on 1 of 2 held-out runs, T3',
         'ARMA is not to be trusted: refused on 1 of 2 held-out runs, T3',
@@ -145,7 +148,7 @@ def test_best_over_all_runs_is_trusted_on_each():
 
 def test_what_could_not_be_fitted_on_one_run_is_left_out_of_the_whole():
     two = Comparison((held_out('T2', mlp=um(1, 1)), held_out('T3', refused={'mlp': 'no data'})))
-    assert 'MLP *' not in cells(pooled_table(two))
+    assert 'MLP † *' not in cells(pooled_table(two))
     assert pooled_refusal_lines(two) == [
         'MLP was left out: refused on 1 of 2 held-out runs, T3',
     ]
@@ -263,6 +266,9 @@ def test_document():
         'trained_on': {},
         'covered': {'Y': 0.95, 'Z': 0.5},
         'half_width_um': pytest.approx({'Y': 4.0, 'Z': 6.0}),
+        'independent': {'Y': 8.0, 'Z': 1.0},
+        'band_ratio': {'Y': 1.0, 'Z': 1.5},
+        'false_band': [],
         'worse_than_none': [],
         'default': {'Y': 'lag_ridge', 'Z': 'lag_ridge'},
         'inputs': ['T1', 'T7'],
@@ -392,13 +398,13 @@ def test_traces_are_what_is_left_and_leave_gaps_where_nothing_was(plotting):
 def test_what_looks_equal_is_marked_alike_but_not_what_leaves_all_as_it_is():
     rows = {
         'uncompensated': um(20, 2.41),
-        'mlp': um(2.41, 2.44),
-        'arma': um(2.44, 2.41),
+        'static_ridge': um(2.41, 2.44),
+        'lag_ridge': um(2.44, 2.41),
         'default': um(2.41, 2.44),
     }
     table = residual_table('a run', CHANNEL, rows, rows)
     assert {cell for cell in table.strong if cell[1] == 1} == {(1, 1), (2, 1)}
-    # of Z arma is the machine without compensation, and mlp looks as good
+    # of Z LagRidge is the machine without compensation, and static ridge looks as good
     assert {cell for cell in table.strong if cell[1] == 3} == {(0, 3), (1, 3)}
 
 
@@ -470,3 +476,39 @@ def test_page_of_a_comparison(plotting):
     assert 'All held-out runs' not in one
     assert 'one held-out run' in one
     assert 'Provenance' not in one
+
+
+def test_what_no_machine_runs_is_never_the_best_and_is_said_where_it_is_better():
+    item = held_out(gaussian_process=um(1, 9))
+    comparison = Comparison((item,))
+    assert best_candidates(comparison) == {'Y': 'lag_ridge', 'Z': 'static_ridge'}
+    assert best_lines(comparison) == [
+        'best candidate: LagRidge (Y), Static ridge (Z)',
+        'better, but only compared, as no machine runs it: Gaussian process on Y, 1.0 µm instead '
+        'of 2.0 µm',
+    ]
+    assert best_lines(Comparison((held_out(gaussian_process=um(2, 9)),)))[1:] == []
+    document = comparison_document(comparison)
+    assert document['best'] == {'Y': 'lag_ridge', 'Z': 'static_ridge'}
+    assert document['best_compared'] == {'Y': 'gaussian_process', 'Z': 'static_ridge'}
+    table = held_out_table(item)
+    labels = [row[0] for row in table.rows]
+    assert labels[1:4] == ['Static ridge', 'LagRidge', 'Gaussian process †']
+    assert not any(row == 3 for row, _ in table.strong)
+
+
+def test_a_default_that_is_much_worse_than_least_squares_is_called_so():
+    item = held_out(least_squares=um(1, 5))
+    (line,) = [line for line in held_out_remarks(item) if 'plain' in line.text]
+    assert line == (
+        'T2: the default leaves much more than plain least squares: 2.0 µm instead of 1.0 µm on Y',
+        True,
+    )
+    assert comparison_document(Comparison((item,)))['worse_than_plain'] == ['Y']
+    # Neither what is not to be trusted nor a difference that no table shows is held against it.
+    for other in (
+        held_out(least_squares=um(1, 5), refused={'least_squares': 'no samples'}),
+        held_out(least_squares=um(1.4, 5)),
+        held_out(least_squares=um(0.01, 5), lag_ridge=um(0.02, 5)),
+    ):
+        assert not [line for line in held_out_remarks(other) if 'plain' in line.text]

@@ -33,6 +33,8 @@ def judged(name, **rms):
         trained_on={},
         covered=np.ones(2),
         half_width=1e-6 * np.ones(2),
+        independent=np.full(2, 5.0),
+        band_ratio=np.full(2, 0.5),
         time=np.arange(10.0),
         measured=np.zeros((10, 2)),
         predicted={},

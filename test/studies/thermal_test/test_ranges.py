@@ -267,6 +267,53 @@ def test_phases_that_somebody_names_go_first_and_kinds_by_their_names(plain):
     ]
 
 
+def late(at):
+    """Return the speed of a spindle that starts an hour after its mark and ends one late."""
+    return 50.0 * np.pi if 3 * HOUR <= at < 7 * HOUR else 0.0
+
+
+def test_marked_phases_are_cut_and_named_by_what_the_spindle_did(tmp_path):
+    bag = write_test(tmp_path / 'test', speed=late)
+    test = judged(bag)
+    assert test.source == 'marked in the bag; where the spindle did otherwise, by that'
+    found = [(i.phase.name, i.phase.kind, i.phase.start, i.phase.end) for i in test.phases]
+    assert found == [
+        ('environment', 'environment', 0.0, 2 * HOUR),
+        ('spindle 6000: spindle at rest', 'environment', 2 * HOUR, 3 * HOUR),
+        ('spindle 6000: spindle at 1500 rpm', 'spindle', 3 * HOUR, 6 * HOUR),
+        ('cooling: spindle at 1500 rpm', 'spindle', 6 * HOUR, 7 * HOUR),
+        ('cooling: spindle at rest', 'cooling', 7 * HOUR, 8 * HOUR),
+    ]
+
+
+def test_a_rest_at_speed_is_no_cooling_and_a_spindle_at_rest_no_spindle(tmp_path):
+    bag = write_test(tmp_path / 'test', speed=late)
+    given = [
+        Phase('rest', 'cooling', 4 * HOUR, 6 * HOUR),
+        Phase('spindle', 'spindle', 7.5 * HOUR, np.inf),
+        Phase('X axis', 'axis', 3 * HOUR, 4 * HOUR),
+        Phase('run', 'spindle', 2 * HOUR, 7 * HOUR),
+    ]
+    found = [(item.phase.name, item.phase.kind) for item in judged(bag, given=given).phases]
+    assert found == [
+        ('rest: spindle at 1500 rpm', 'spindle'),
+        ('spindle: spindle at rest', 'cooling'),
+        ('X axis', 'axis'),
+        ('run, at rest for 1.0 h of it', 'spindle'),
+    ]
+    told = judged(bag, given=given[:1], kinds={'rest': 'other'}).phases[0].phase
+    assert (told.name, told.kind) == ('rest', 'other')
+
+
+def test_a_short_rest_or_run_up_belongs_to_its_phase(tmp_path):
+    def speed(at):
+        pausing = 4 * HOUR <= at < 4 * HOUR + 100.0
+        return 100.0 * np.pi if 2 * HOUR + 60.0 <= at < 6 * HOUR and not pausing else 0.0
+
+    test = judged(write_test(tmp_path / 'test', speed=speed))
+    assert [item.phase.name for item in test.phases] == ['environment', 'spindle 6000', 'cooling']
+
+
 def test_a_speed_that_changes_within_a_phase_is_no_single_speed(tmp_path):
     bag = write_test(tmp_path / 'test', speed=True)
     given = [Phase('half', 'other', HOUR, 3 * HOUR), Phase('full', 'spindle', 3 * HOUR, 6 * HOUR)]

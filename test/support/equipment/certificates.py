@@ -42,4 +42,5 @@ def certificate(folder: Path, name: str = 'broker') -> Path:
             serialization.NoEncryption(),
         )
     )
+    (folder / f'{name}-key.pem').chmod(0o600)
     return path

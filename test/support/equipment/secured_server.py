@@ -25,6 +25,7 @@ def certificate(folder: Path, name: str, uri: str, usage: Any) -> tuple[Path, Pa
     """Make a self-signed certificate; return certificate and key."""
     made = folder / f'{name}.der', folder / f'{name}-key.pem'
     asyncio.run(setup_self_signed_certificate(made[1], made[0], uri, 'localhost', [usage], {}))
+    made[1].chmod(0o600)
     return made
 
 

@@ -5,6 +5,7 @@
 import json
 import random
 import re
+from collections.abc import Iterator
 from copy import deepcopy
 from typing import Any
 
@@ -144,3 +145,21 @@ def _other(value: Any, rng: random.Random) -> Any:
         scale = rng.choice((-1, 0, 2, 0.5, 1e6, 1e-6, 1e150, 1e300, 1 + 1e-9))
         return rng.choice((value * scale, value + 1, -1, 0, 2, 10**6, 10**400, 1e308, 5e-324))
     return deepcopy(rng.choice(VALUES))  # the next mutation may put it into itself
+
+
+def places_of_numbers(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Return where each number of a document stands."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from places_of_numbers(item, (*path, key))
+    elif isinstance(value, list):
+        for at, item in enumerate(value):
+            yield from places_of_numbers(item, (*path, at))
+    elif isinstance(value, (int, float)) and not isinstance(value, bool):
+        yield path
+
+
+def one_of_each(paths: Iterator[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
+    """Return one place of each field."""
+    fields = {tuple(key for key in path if isinstance(key, str)): path for path in paths}
+    return list(fields.values())

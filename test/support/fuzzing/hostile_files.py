@@ -5,6 +5,7 @@
 import os
 from pathlib import Path
 
+import lz4.frame
 import zstandard
 from fuzzing import raw_bags as raw
 
@@ -49,10 +50,29 @@ def chunks_that_overlap(path):
 
 
 def chunk_that_hides_its_size(path):
-    data = compressed_zeros(2**29)
-    head = bytes(16) + (100).to_bytes(8, 'little') + bytes(4) + raw.text('zstd')
-    body = head + len(data).to_bytes(8, 'little') + data
-    return raw.mcap(path, [announced(), raw.record(raw.CHUNK, body)])
+    return raw.mcap(path, [announced(), compressed('zstd', compressed_zeros(2**29), 100)])
+
+
+def chunk_of_lz4_that_hides_its_size(path):
+    block = bytes(2**20)
+    compressor = lz4.frame.LZ4FrameCompressor(block_size=lz4.frame.BLOCKSIZE_MAX4MB)
+    data = compressor.begin() + b''.join(compressor.compress(block) for _ in range(2**9))
+    return raw.mcap(path, [announced(), compressed('lz4', data + compressor.flush(), 100)])
+
+
+def chunk_that_needs_a_window_of_a_gigabyte(path):
+    large = zstandard.ZstdCompressionParameters.from_level(
+        1, window_log=30, write_content_size=False
+    )
+    compressor = zstandard.ZstdCompressor(compression_params=large).compressobj()
+    data = compressor.compress(bytes(2**20)) + compressor.flush()
+    return raw.mcap(path, [announced(), compressed('zstd', data, 2**20)])
+
+
+def compressed(method: str, data: bytes, size: int) -> bytes:
+    """Return a chunk that says how many bytes it holds."""
+    head = bytes(16) + size.to_bytes(8, 'little') + bytes(4) + raw.text(method)
+    return raw.record(raw.CHUNK, head + len(data).to_bytes(8, 'little') + data)
 
 
 def torn_chunk(path):
@@ -252,6 +272,8 @@ CASES = (
     chunk_of_the_smallest_messages,
     chunks_that_overlap,
     chunk_that_hides_its_size,
+    chunk_of_lz4_that_hides_its_size,
+    chunk_that_needs_a_window_of_a_gigabyte,
     torn_chunk,
     type_of_types,
     type_in_type,

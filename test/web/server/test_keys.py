@@ -48,7 +48,7 @@ def test_a_token_that_is_of_no_use_is_refused_with_the_remedy(tmp_path):
         read_token(file)
     file.write_text('x' * 40)
     file.chmod(0o644)
-    with pytest.raises(KeyFileError, match=r'mode 644; say chmod 600'):
+    with pytest.raises(KeyFileError, match=r'mode 644; run chmod 600'):
         read_token(file)
     with pytest.raises(KeyFileError, match='state_directory'):
         own_token(file / 'below' / 'token')
@@ -71,6 +71,10 @@ def test_a_certificate_is_made_once_and_serves(serve, tmp_path):
     check_pair(*files)
     with pytest.raises(KeyFileError, match='expected a pair'):
         check_pair(files[0], files[0])
+    files[1].chmod(0o640)
+    with pytest.raises(KeyFileError, match=r'private_key .* mode 640; run chmod 600'):
+        check_pair(*files)
+    files[1].chmod(0o600)
     with pytest.raises(KeyFileError, match='PEM'):
         fingerprint(files[1].with_name('nothing'))
 

@@ -4,6 +4,7 @@
 
 import json
 import os
+import re
 import resource
 import socket
 import time
@@ -204,6 +205,9 @@ def test_a_script_for_a_name_stays_a_name(page):
         b'[' * 4000,
         b'{"by": "' + b'x' * 5000 + b'"}',
         b'x' * 1_000_000,
+        b'{"by": "\\ud800"}',
+        b'{"\\udfff": 1}',
+        b'{"values": [{"x": "\\udc80"}]}',
     ],
 )
 def test_a_body_that_is_no_small_object_is_refused(page, body):
@@ -377,3 +381,45 @@ def test_nonsense_is_answered_or_closed(page):
             while connection.recv(1000):
                 pass
     assert page.request('GET', '/bags/')[0] == 200
+
+
+ACT = (
+    b'POST /act/mill/deactivate HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n'
+)
+CHUNKS = b'\r\n2\r\n{}\r\n0\r\n\r\n'
+SMUGGLED = {
+    'a length beside chunks': b'Content-Length: 2\r\nTransfer-Encoding: chunked\r\n' + CHUNKS,
+    'chunks beside a length': b'transfer-encoding: chunked\r\ncontent-length: 2\r\n' + CHUNKS,
+    'two lengths': b'Content-Length: 2\r\nContent-Length: 2\r\n\r\n{}',
+    'two other lengths': b'Content-Length: 2\r\nContent-Length: 40\r\n\r\n{}',
+    'two encodings': b'Transfer-Encoding: chunked\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\n',
+    'a folded line': b'X: a\r\n b\r\nContent-Length: 2\r\n\r\n{}',
+    'a bare line feed': b'X: a\nContent-Length: 2\r\n\r\n{}',
+    'line feeds alone': b'Content-Length: 2\n\n{}',
+    'a bare carriage return': b'X: a\rb\r\nContent-Length: 2\r\n\r\n{}',
+    'a space before the colon': b'Content-Length : 2\r\n\r\n{}',
+    'a length with a sign': b'Content-Length: +2\r\n\r\n{}',
+    'another encoding': b'Transfer-Encoding: gzip, chunked\r\n\r\n2\r\n{}\r\n0\r\n\r\n',
+}
+
+
+@pytest.mark.parametrize('before', [b'', b'GET /bags/ HTTP/1.1\r\nHost: localhost\r\n\r\n'])
+@pytest.mark.parametrize('rest', SMUGGLED.values(), ids=SMUGGLED)
+def test_a_head_that_can_be_read_in_two_ways_is_refused(page, rest, before):
+    """Also behind another request on the same connection."""
+    answer = b''
+    with page.open() as connection:
+        connection.sendall(before + ACT + rest)
+        while part := connection.recv(10_000):
+            answer += part
+    statuses = re.findall(rb'HTTP/1\.1 (\d+)', answer)
+    assert statuses == [b'200'] * bool(before) + [statuses[-1]]
+    assert statuses[-1] in (b'400', b'501')
+    assert page.machines.done == []
+
+
+def test_a_head_in_pieces_is_read(page):
+    with page.open() as connection:
+        for byte in ACT + b'Content-Length: 2\r\nConnection: close\r\n\r\n{}':
+            connection.sendall(bytes([byte]))
+        assert connection.recv(100).startswith(b'HTTP/1.1 200')

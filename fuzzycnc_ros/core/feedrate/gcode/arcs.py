@@ -18,20 +18,45 @@ ABSOLUTE_MISFIT = 12.7e-6
 """Difference of both radii that rounding explains [m]."""
 
 RELATIVE_MISFIT = 1e-3
-"""Difference of both radii that is let pass, as a share of the radius [-]."""
+"""Difference of both radii that LinuxCNC accepts, as a share of the larger one [-]."""
+
+MISFIT_MILLIMETRE = 2.0 * 0.01e-3 * math.sqrt(2.0)
+"""Difference of both radii that LinuxCNC accepts whatever the radius, in millimetres [m]."""
+
+MISFIT_INCH = 2.0 * 0.001 * 25.4e-3 * math.sqrt(2.0)
+"""The same in programs in inches [m]."""
+
+MISFIT_MOST = 100.0
+"""Difference of both radii that LinuxCNC refuses in any case, as a multiple of these [-]."""
 
 
 POINT_ROUNDING = 1e-9
 """Points closer than this are one [m]: sums of relative moves are off by the last digits."""
 
 
+TURNS_MAX = 1000
+"""Largest number of turns of an arc."""
+
+
 def fits(
-    start: tuple[float, float], end: tuple[float, float], centre: tuple[float, float]
+    start: tuple[float, float],
+    end: tuple[float, float],
+    centre: tuple[float, float],
+    misfit: float = MISFIT_MILLIMETRE,
 ) -> bool:
-    """Whether two points [m] are equally far from a centre, but for rounding."""
-    first = math.dist(start, centre)
-    misfit = abs(first - math.dist(end, centre))
-    return first > 0.0 and misfit <= max(ABSOLUTE_MISFIT, RELATIVE_MISFIT * first)
+    """Return whether LinuxCNC takes two points [m] as equally far from a centre.
+
+    Parameters
+    ----------
+    start, end, centre : tuple of float, length 2
+        In the plane [m].
+    misfit : float
+        `MISFIT_MILLIMETRE` or `MISFIT_INCH`, as the unit of the program is [m].
+    """
+    first, last = math.dist(start, centre), math.dist(end, centre)
+    off = abs(first - last)
+    most = min(max(misfit, RELATIVE_MISFIT * max(first, last)), MISFIT_MOST * misfit)
+    return first > 0.0 and off <= most
 
 
 def centred(

@@ -52,6 +52,9 @@ class Block:
     followed : bool
         The line belongs to a part whose order O-words or calls decide: it may be run several
         times, and each time is a block.
+    rounding : float or None
+        How far the program lets its corners be rounded off [m]: P of G64, 0 for exact path and
+        exact stop (G61, G61.1); None where it does not say.
     """
 
     line: int
@@ -64,6 +67,7 @@ class Block:
     feed_unit: float
     optional: bool
     followed: bool = False
+    rounding: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

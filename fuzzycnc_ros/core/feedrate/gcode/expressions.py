@@ -48,7 +48,10 @@ _DEPTH = 40
 """Brackets that lie in each other at most."""
 
 _BLANK = re.compile(r'[ \t]*')
-_NUMBER = re.compile(r'[-+]?(?:\d+\.?\d*|\.\d+)', re.ASCII)
+SPACED_NUMBER = r'\d(?:[ \t]*\d)*(?:[ \t]*\.(?:[ \t]*\d)*)?|\.(?:[ \t]*\d)+'
+"""A number without its sign, as LinuxCNC reads it: blanks may stand anywhere in it."""
+
+_NUMBER = re.compile(rf'[-+]?(?:{SPACED_NUMBER})', re.ASCII)
 _NAME = re.compile(r'<([^>\r\n]+)>')
 _OPERATION = re.compile(r'\*\*|[-+*/]|AND|X?OR|MOD|[EN][EQ]|[GL][ET]', re.IGNORECASE | re.ASCII)
 _FUNCTION = re.compile(
@@ -94,7 +97,7 @@ def read_value(text: str, at: int, depth: int = 0) -> tuple[Expression, int]:
         raise ExpressionError(f'expected a line of at most {_LENGTH} signs around an expression')
     at = _skip(text, at)
     match = _NUMBER.match(text, at)
-    if match and math.isfinite(value := float(match[0])):
+    if match and math.isfinite(value := float(''.join(match[0].split()))):
         return (lambda _: value), match.end()
     if depth > _DEPTH:
         raise ExpressionError(f'expected at most {_DEPTH} brackets in each other but found more')

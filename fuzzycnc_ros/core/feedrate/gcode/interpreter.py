@@ -10,11 +10,13 @@ from dataclasses import replace
 
 from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.feedrate.gcode import modal
+from fuzzycnc_ros.core.feedrate.gcode.arcs import ABSOLUTE_MISFIT
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Note, Role
 from fuzzycnc_ros.core.feedrate.gcode.expressions import Expression, ExpressionError
 from fuzzycnc_ros.core.feedrate.gcode.lexer import Line, Word, resolved
-from fuzzycnc_ros.core.feedrate.gcode.modal import State
+from fuzzycnc_ros.core.feedrate.gcode.modal import State, least_feed
 from fuzzycnc_ros.core.feedrate.gcode.motion import (
+    NO_PLACE,
     CurveBlock,
     KnotCurveBlock,
     PlaneCurveBlock,
@@ -26,8 +28,15 @@ from fuzzycnc_ros.core.feedrate.gcode.motion import (
     run_cycle,
     runs_cycle,
 )
+from fuzzycnc_ros.core.feedrate.gcode.outline import Outline
 from fuzzycnc_ros.core.feedrate.gcode.parameters import Parameters
-from fuzzycnc_ros.core.feedrate.gcode.segments import NurbsSegment, ProgramError, Segment
+from fuzzycnc_ros.core.feedrate.gcode.segments import (
+    ArcSegment,
+    NurbsSegment,
+    ProgramError,
+    Segment,
+    UnplacedSegment,
+)
 
 _LETTERS = '@^'
 
@@ -102,10 +111,12 @@ class _Notes:
 
 
 _SLOWEST = 1e-3 / modal.MINUTE
+_FASTEST = 1e9
 _CALL_LETTERS = frozenset('XYZABCUVWG')
 _CURVE_LETTERS = frozenset('GNFXYZPLKRABCUVW')
 _CALL_M = frozenset({97, 98, 99})
 _NO_JUMPS: frozenset[int] = frozenset()
+_NO_OUTLINE = Outline()
 _LINE_NUMBER = re.compile(r'[ \t/]*N[ \t]*0*(\d{1,9})(?!\d)', re.IGNORECASE | re.ASCII)
 
 
@@ -116,8 +127,8 @@ class Interpreter:
     ----------
     length_unit : float
         What a length of 1 is before the program says G20 or G21 [m].
-    jumps : frozenset of int or None
-        Numbers N of the lines that jumps may lead to, None where it may be any line.
+    outline : Outline
+        What is known of the whole program.
 
     Attributes
     ----------
@@ -134,10 +145,10 @@ class Interpreter:
     def __init__(
         self,
         length_unit: float = modal.MILLIMETRE,
-        jumps: frozenset[int] | None = frozenset(),
+        outline: Outline = _NO_OUTLINE,
     ) -> None:
         self.state = modal.State(length_unit)
-        self._jumps = jumps
+        self._jumps = outline.jumps
         self._curve: CurveBlock | None = None
         self._held: list[Block] = []
         self._saved: list[tuple[dict[str, object], bool] | None] = [None]
@@ -146,6 +157,14 @@ class Interpreter:
         self.parameters = Parameters(self.state)
         self.followed = False
         self._words = _GWords(self.state, self._say)
+        self.state.unnamed = outline.unnamed
+        if outline.lathe:
+            self.state.set_lathe()
+            self.notes.add(
+                1,
+                'a lathe (limit of the spindle by G50, or home by U and W): X is a diameter, U '
+                'and W are relative, and feeds are per revolution until G94 or G98',
+            )
 
     def read(self, text: str, line: Line, number: int) -> list[Block]:
         """Read the next line.
@@ -329,7 +348,7 @@ class Interpreter:
         word = None
         for letter, value, start, end in line.words:
             if letter == 'F' and value is not None and state.feed_mode == 94:
-                word = (start, end)
+                word = None if state.motion in modal.THREADS else (start, end)
             elif letter == 'G' and value == 4.0:  # a wait: its F is no feed
                 word = None
                 break
@@ -344,6 +363,7 @@ class Interpreter:
             feed_unit=state.feed_unit,
             optional=line.optional,
             followed=self.followed,
+            rounding=state.rounding,
         )
 
     def _meaning(self, line: Line) -> tuple[Role, Segment | None]:
@@ -363,6 +383,11 @@ class Interpreter:
             self.lose(f'O-words are not followed here: {_LOST}, the feed until F')
             self.parameters.forget(everything=True)
             return Role.SEALED, None
+        if line.kept:
+            self._say(f'{line.kept}: kept, with what stands beside it')
+        if line.names and line.names[0] in modal.KLIPPER:
+            self._say(f'{line.names[0]}: passed through')
+            return Role.PLAIN, None
         if not modal.DECLARATIONS.isdisjoint(line.names):
             self._say('declaration: passed through')
             return Role.PLAIN, None
@@ -372,10 +397,12 @@ class Interpreter:
                 codes.append(-1 if value is None else round(10.0 * value))
             elif letter == 'M':
                 ms.append(value)
-        if codes and not modal.LATHE_CYCLES.isdisjoint(codes) and _names(line, 'Q'):
-            self.lose(f'turning cycle (G70 to G72): {_LOST}, the feed until F')
-            return Role.SEALED, None
+        if codes and not modal.SHARED.isdisjoint(codes):
+            role = self._shared(codes, line)
+            if role is not None:
+                return role, None
         elsewhere, feed_unit = 'SUPA' in line.names, state.feed_unit
+        changed = state.unit_said or state.feed is not None or len(state.assumed) < 3
         moves, gone = True, False
         for code in codes:
             kind = self._words.take(code, line)
@@ -386,10 +413,18 @@ class Interpreter:
             self._set_feed(line)
             if state.feed_unit != feed_unit and _names(line, 'F'):
                 # LinuxCNC takes it in the old unit, GRBL in the new one: 25 times as fast or slow.
-                self._say(
-                    'feed beside a change of units: unknown, as controllers differ; give F alone'
-                )
-                state.lose_feed()
+                # Before any unit was said, the old one is that of a machine that is set up for it.
+                if changed:
+                    self._say(
+                        'feed beside a change of units: unknown, as controllers differ; give F '
+                        'alone'
+                    )
+                    state.lose_feed()
+                else:
+                    self._say(
+                        'feed beside the first unit: taken in it, as controllers differ (LinuxCNC '
+                        "in the machine's own one); give F alone"
+                    )
         if ms:
             self._machine(ms)
         if line.names or line.calls or line.strange:
@@ -397,13 +432,17 @@ class Interpreter:
             if role is not None:
                 return role, None
         if 40 in codes:
-            return Role.PLAIN, dwell(line, self._line, state)
+            wait = dwell(line, self._line, state)
+            if wait is None:
+                self._say('a wait whose time the program does not tell')
+                return Role.SEALED, None
+            return Role.PLAIN, wait
         if modal.CALLS & set(codes) or (ms and _CALL_M & set(ms)) or self._called(line):
             self.lose(f'call of a subprogram: {_LOST}, the feed until F')
             self.parameters.forget()
             return Role.SEALED, None
         if elsewhere:
-            state.lose(named_axes(line) or 'XYZ')
+            state.lose(named_axes(line, relative=True) or 'XYZ')
             self._say('motion to a place of the machine (G28, G30, G53, G75, SUPA, probing)')
             return (Role.RAPID if state.motion == 0 else Role.KEPT), None
         if not moves or gone:
@@ -411,6 +450,25 @@ class Interpreter:
         if state.motion in (52, 62):
             return self._begin_curve(line)
         return self._move(line)
+
+    def _shared(self, codes: list[int], line: Line) -> Role | None:
+        """Heed a cycle whose G word is a unit elsewhere; None where it is none."""
+        letters = {word.letter for word in line.words} | line.assigned.keys()
+        meaning = modal.shared_meaning(codes, letters)
+        if not meaning:
+            return None
+        name = f'G{next(code for code in codes if code in modal.SHARED) / 10:g}'
+        if meaning == 'home':
+            self._say(f'{name} HP=: motion to a place of the machine; {_LOST}')
+            self.state.lose()
+            return Role.RAPID if self.state.motion == 0 else Role.KEPT
+        if meaning == 'turning':
+            self.lose(f'turning cycle ({name}): {_LOST}, the feed until F')
+        else:
+            self._set_feed(line)
+            self._say(f'pattern of holes or pocket ({name}), which keeps its feed: {_LOST}')
+            self.state.lose()
+        return Role.SEALED
 
     def _move(self, line: Line) -> tuple[Role, Segment | None]:
         state = self.state
@@ -430,11 +488,23 @@ class Interpreter:
             self._say(f'{reason}: passed through with its own feed')
             if state.motion == 0 and not state.modal_call:
                 return Role.RAPID, None
-            return (Role.SEALED if state.motion == -1 or state.modal_call else Role.KEPT), None
+            sealed = state.motion == -1 or state.motion in modal.THREADS or state.modal_call
+            return (Role.SEALED if sealed else Role.KEPT), None
         if segment is None:
+            if state.motion in (0, 10) and _names(line, 'E'):  # filament alone
+                state.kind = ''
+                return (Role.RAPID if state.motion == 0 else Role.KEPT), None
             return Role.PLAIN, None
+        if isinstance(segment, UnplacedSegment):
+            self._say(f'{NO_PLACE}: passed through with its own feed')
+            return (Role.RAPID if segment.rapid else Role.KEPT), segment
         if segment.rapid:
             return Role.RAPID, segment
+        if isinstance(segment, ArcSegment) and segment.misfit > ABSOLUTE_MISFIT:
+            self._say(
+                'an arc whose start and end are not equally far from its centre: its radius '
+                'changes along the way, as LinuxCNC runs it'
+            )
         if segment.turning:
             self._say('motion of other axes than X, Y and Z: keeps its feed')
         if segment.turning or segment.feed is None:
@@ -463,9 +533,13 @@ class Interpreter:
             return Role.SEALED
         for name in names & modal.DIAMETER_NAMES.keys():
             state.x_share = modal.DIAMETER_NAMES[name]
-        if names & modal.FRAME_NAMES:
+        frames = (names | set(line.calls)) & modal.FRAME_NAMES
+        if frames:
             state.lose()
-            self._say(f'{sorted(names & modal.FRAME_NAMES)[0]}: new coordinates; {_LOST}')
+            if frames & modal.TRANSFORM_ENDS:
+                state.transform = ''
+            state.transform = min(frames & modal.TRANSFORM_NAMES, default=state.transform)
+            self._say(f'{min(frames)}: new coordinates; {_LOST}')
             return Role.PLAIN
         calls = [call for call in line.calls if call not in modal.SILENT_CALLS]
         unknown = names - modal.SILENT_NAMES - modal.MACHINE_NAMES - modal.DIAMETER_NAMES.keys()
@@ -486,17 +560,34 @@ class Interpreter:
         state = self.state
         for letter, value, _, _ in line.words:
             if letter == 'F' and state.feed_mode == 94:
-                if value is None:
+                if state.motion in modal.THREADS:
+                    state.lose_feed()
+                elif value is None:
                     self._say('computed feed: kept')
                     state.lose_feed()
-                elif value < 0.0:
-                    raise ProgramError(self._line, f'expected a feed above 0 but found F{value:g}')
+                elif value != 0.0 and not least_feed(state.feed_unit) <= value <= _FASTEST:
+                    found = f'F{value:g}'
+                    raise ProgramError(
+                        self._line,
+                        f'expected a feed above 0 but found {found}'
+                        if value < 0.0
+                        else f'expected a feed from {least_feed(state.feed_unit):g} to '
+                        f'{_FASTEST:g} but found {found}; of no machine',
+                    )
                 else:
                     state.feed, state.feed_known = value * state.feed_unit, True
                     if 0.0 < state.feed < _SLOWEST:
                         self._say('feed below 1 mm/min: if it is one per revolution, say G95')
 
     def _machine(self, numbers: list[float | None]) -> None:
+        if not modal.PRINTER_M.isdisjoint(numbers):
+            self.state.printer = True
+        if not modal.FRAME_M.isdisjoint(numbers):
+            self.state.lose()
+            self._say(f'M128 or M129: new coordinates; {_LOST}')
+        if not modal.MOVING_M.isdisjoint(numbers):
+            self.state.lose()
+            self._say(f'motion or shift by M: {_LOST}')
         if any(number in modal.STOPS for number in numbers):
             self.state.kind = ''
         if any(number in modal.ENDS for number in numbers):
@@ -528,6 +619,22 @@ def _names(line: Line, letter: str) -> bool:
 _LOST = 'where the tool stands is unknown until all axes are named'
 
 
+def _axes(line: Line) -> bool:
+    """Whether a line names an axis."""
+    return any(word.letter in 'XYZABCUVW' for word in line.words)
+
+
+def _limits_spindle(line: Line) -> bool:
+    """Whether a line with G50 or G92 is about the speed of the spindle alone."""
+    return _names(line, 'S') and not _axes(line)
+
+
+def _is_box(line: Line) -> bool:
+    """Whether G90, G92 or G94 of a lathe is a cycle: an axis stands beside it, and no motion."""
+    moves = any(word.letter == 'G' and word.value in (0.0, 1.0, 2.0, 3.0) for word in line.words)
+    return not moves and bool(named_axes(line, relative=True))
+
+
 class _GWords:
     """Takes G words, as numbers in tenths: 53 is G5.3, below 0 is one that is computed.
 
@@ -549,6 +656,13 @@ class _GWords:
         if code in modal.MOTION:
             state.motion = code
             state.cycle = None
+        elif code in modal.THREADS:
+            self._thread(code, line)
+        elif state.lathe and code in modal.BOXES and _is_box(line):
+            begin_cycle(code, state)
+            state.motion = -1
+        elif state.lathe and code in (980, 990):
+            self._feed_mode(94 if code == 980 else 95)
         elif code in modal.PLANE:
             state.plane = modal.PLANE[code]
         elif code in modal.LENGTH_UNIT:
@@ -573,12 +687,21 @@ class _GWords:
             return 'elsewhere'
         elif code in modal.CALLS:
             return 'call'
+        elif code == 100 and state.printer and not any(w.letter in 'LXYZ' for w in line.words):
+            self._say('G10 of a printer: passed through')
+        elif code == 500 and _limits_spindle(line):
+            self._say('limit of the spindle (G50 S): passed through')
+        elif code == 920 or (code == 500 and state.lathe and named_axes(line, relative=True)):
+            self._set_place(line)
+            return 'shift'
         elif code in modal.FRAMES:
             state.lose()
             self._say(f'G{code / 10:g}: new coordinates; {_LOST}')
             return 'shift'
-        elif code == 920:
-            self._set_place(line)
+        elif code in modal.TRANSFORMED or code in modal.CYLINDERS:
+            return self._bend(code, line)
+        elif code in modal.TRANSFORMED.values():
+            self._set_transform('', code)
             return 'shift'
         else:
             return self._other_code(code, line)
@@ -587,11 +710,17 @@ class _GWords:
     def _other_code(self, code: int, line: Line) -> str:
         """Heed a G word that moves nothing by itself."""
         state = self._state
-        if code in modal.OFFSETS:
-            if state.offset not in (None, code):
+        if code in modal.OFFSETS and not (1100 <= code < 1300 and named_axes(line)):
+            number = next((word.value for word in line.words if word.letter == 'P'), None)
+            offset = (code, number if code in (541, 1540) else None)
+            if state.offset not in (None, offset):
                 state.lose()
                 self._say(f'change of the work offset: {_LOST}')
-            state.offset = code
+            state.offset = offset
+        elif code in modal.PIVOTS or (code == 490 and state.pivot):
+            state.pivot = state.tool_length = code != 490
+            state.lose()
+            self._say(f'G{code / 10:g}: coordinates of the tip of the tool; {_LOST}')
         elif code in modal.TOOL_LENGTHS or (code == 490 and state.tool_length):
             state.tool_length = code != 490
             state.lose('Z')
@@ -601,6 +730,10 @@ class _GWords:
             self._say(f'cutter compensation (G{code / 10:g}): the path is the programmed one')
         elif code == 400:
             state.cutter = False
+        elif code in modal.EXACT:
+            state.rounding = 0.0
+        elif code in modal.ROUNDS:
+            self._round_corners(code, line)
         elif code in (980, 990):
             state.retracts = code == 990
         elif code in (160, 150):
@@ -617,12 +750,59 @@ class _GWords:
                 return 'gone'
         return ''
 
-    def _set_place(self, line: Line) -> None:
-        """G92: the tool stands where the words say, from now on."""
+    def _round_corners(self, code: int, line: Line) -> None:
+        """G64: corners may be rounded off, by as much as P says."""
+        most = next((word.value for word in line.words if word.letter == 'P'), 0.0)
+        self._state.rounding = most * self._state.length_unit if code == 640 and most else None
+        if self._state.rounding is None:
+            self._say(
+                f'G{code / 10:g} does not say how far corners are rounded off; unless that is '
+                'given, they are stopped at'
+            )
+
+    def _thread(self, code: int, line: Line) -> None:
+        """Begin a thread."""
         state = self._state
+        state.motion, state.cycle = code, None
+        if _names(line, 'F'):
+            state.lose_feed()
+        self._say(f'threading (G{code / 10:g}): keeps its pitch; the feed is unknown until F')
+
+    def _bend(self, code: int, line: Line) -> str:
+        """Begin polar or cylindrical coordinates; words beside them are no motion."""
+        name = f'G{code / 10:g}'
+        if code in modal.CYLINDERS:
+            size = [word.value for word in line.words if word.letter in 'CRXYA']
+            self._set_transform(name if any(value != 0.0 for value in size) else '', code)
+        elif code == 1120 and named_axes(line):  # a pole of Siemens
+            self._say(f'unknown word {name}: passed through')
+            self._state.lose()
+            return 'gone'
+        else:
+            self._set_transform(name, code)
+        return 'shift'
+
+    def _set_transform(self, name: str, code: int) -> None:
+        self._state.transform = name
+        self._state.lose()
+        self._say(f'G{code / 10:g}: new coordinates; {_LOST}')
+
+    def _set_place(self, line: Line) -> None:
+        """G92, or G50 of lathes: the tool stands where the words say, from now on."""
+        state = self._state
+        if _limits_spindle(line) or (state.printer and _names(line, 'E') and not _axes(line)):
+            self._say('G92 without an axis (limit of the spindle, extruder): passed through')
+            return
         state.kind = ''
-        self._say('G92: new coordinates')
+        self._say('G92: new coordinates' if not state.lathe else 'G50: new coordinates')
         for letter, value, _, _ in line.words:
+            if state.lathe and letter in 'UVW':
+                if value is None:
+                    state.lose('XYZ'['UVW'.index(letter)])
+                else:
+                    axis = 'UVW'.index(letter)
+                    state.position[axis] += state.length(axis, value, False)
+                continue
             if letter in 'XYZ':
                 if value is None:
                     state.lose(letter)

@@ -13,6 +13,7 @@ from copy import copy
 from typing import NamedTuple
 
 from fuzzycnc_ros.core.feedrate.gcode.expressions import (
+    SPACED_NUMBER,
     Expression,
     ExpressionError,
     Target,
@@ -69,6 +70,8 @@ class Line:
         Its O-word.
     command : bool
         It is a command to the control, not a block: GRBL's `$H`.
+    kept : str
+        Command that has the rest of the line as its own, `M84` of `M84 X Y E`; empty for none.
     strange : bool
         Something stands there that no rule knows.
     optional : bool
@@ -88,6 +91,7 @@ class Line:
         'computed',
         'end',
         'flow',
+        'kept',
         'names',
         'optional',
         'percent',
@@ -105,6 +109,7 @@ class Line:
         self.computed = _NOTHING_COMPUTED
         self.settings = _SETTINGS
         self.flow: FlowWord | None = None
+        self.kept = ''
         self.command = self.strange = self.optional = self.percent = self.polar = False
         self.end = 0
 
@@ -124,12 +129,14 @@ _LENGTH_MAX = 1e6
 """Longest way or radius in a program [mm or inch]: a kilometre and more is of no machine."""
 
 
-_NUMBER = r'[-+]?(?:\d+\.?\d*|\.\d+)'
+_NUMBER = r'[-+]?(?:\d+(?:\.\d*)?|\.\d+)'
 _PLAIN = re.compile(
     rf'[ \t]*(?:[A-Z][ \t]*{_NUMBER}[ \t]*)*(?:;[^\r\n]*)?[\r\n]*', re.IGNORECASE | re.ASCII
 )
 _WORD = re.compile(rf'([A-Z])[ \t]*({_NUMBER})', re.IGNORECASE | re.ASCII)
-_LONE_WORD = re.compile(rf'([A-Z])[ \t]*({_NUMBER})(?![\d.]|[ \t]*=)', re.IGNORECASE | re.ASCII)
+# LinuxCNC ignores blanks wherever they stand.
+_SPACED = rf'[-+]?[ \t]*(?:{SPACED_NUMBER})'
+_LONE_WORD = re.compile(rf'([A-Z])[ \t]*({_SPACED})(?![\d.]|[ \t]*=)', re.IGNORECASE | re.ASCII)
 _ASSIGNMENT = re.compile(
     r'([A-Z_][A-Z0-9_]*(?:\[[^\]\r\n]*\])?)[ \t]*=[ \t]*',
     re.IGNORECASE | re.ASCII,
@@ -138,7 +145,7 @@ _CORNER = re.compile(rf',[ \t]*([ACR])[ \t]*{_NUMBER}', re.IGNORECASE | re.ASCII
 _NAME = re.compile(r'(?:[A-Z]_?[A-Z]|_)[A-Z0-9_]*', re.IGNORECASE | re.ASCII)
 _WHOLE_NUMBER = re.compile(_NUMBER, re.ASCII)
 _FLOW = re.compile(
-    r'O[ \t]*(?:(\d+)|<([^>\r\n]+)>|(?=[#\[]))[ \t]*'
+    r'O[ \t]*(?:(\d(?:[ \t]*\d)*)|<([^>\r\n]+)>|(?=[#\[]))[ \t]*'
     # As in LinuxCNC a keyword may be longer than it is: callsub is a call.
     r'(?:(SUB|ENDSUB|CALL|DO|WHILE|REPEAT|IF|ELSEIF|ELSE|ENDIF|BREAK|CONTINUE|ENDWHILE|ENDREPEAT'
     r'|RETURN)[A-Z]*)?',
@@ -153,13 +160,16 @@ _COMPUTED = re.compile(
 _BRACKET = re.compile(r'(?:[ \t]|\([^)\r\n]*\))*(?=\[)')
 _EQUALS = re.compile(r'[ \t]*=')
 _GOES_ON = re.compile(r'[ \t]*(?:[-+*/]|(?:AND|X?OR|MOD)(?![A-Z]))', re.IGNORECASE | re.ASCII)
-_POLAR = re.compile(rf'([@^])[ \t]*({_NUMBER})', re.ASCII)
+_POLAR = re.compile(rf'([@^])[ \t]*({_SPACED})', re.ASCII)
 _SPINDLE = re.compile(r'\$[ \t]*-?\d+', re.ASCII)
 _SILENT = re.compile(r'(?:[\s%]|\([^)\r\n]*\))*(?:;[^\r\n]*[\r\n]*)?')
 _STRING = re.compile(r'"[^"\r\n]*"')
 _BINARY = re.compile('[\x00-\x08\x0e-\x19\x1b-\x1f\x7f\ufffd]')
 _NO_NUMBER = re.compile(r'[A-Z](?:NAN|INF|INFINITY)', re.ASCII)
 _LETTERS = frozenset('XYZABCUVWIJKRFGMNST')
+_IDLE = frozenset('SE')
+"""Letters that move nothing and may stand bare."""
+_ENDS = frozenset(['', *' \t\r\n;('])
 _BLANK = frozenset(' \t\r\n\f\v\x1a\ufeff')
 
 
@@ -196,19 +206,113 @@ def read_line(text: str, number: int) -> Line:
             line.words.append(_word(match, number))
         if line.words:
             line.end = line.words[-1].end
+            if line.words[0].letter in 'MN':
+                _keep_words(line)
         return line
     if _BINARY.search(text):
         raise ProgramError(
             number, 'expected text but found control characters; is this a binary file?'
         )
     line.open()
-    _scan(text, number, line)
+    try:
+        if not _keep_text(text, line):
+            _scan(text, number, line)
+    except ProgramError:
+        if not _keep_command(text, line):
+            raise
+        return line
     line.polar = any(word.letter in '@^' for word in line.words)
+    if line.words and line.words[0].letter in 'MN':
+        _keep_words(line)
+    if line.strange or (line.names and line.words and _owns_words(line.words)):
+        _keep_command(text, line)
     return line
 
 
+# Commands that own what stands beside them: a word of it is no motion and no feed, whatever its
+# letter.  They are those of 3D printers; on other controllers numbers from 200 on stand alone.
+_OWNERS = frozenset(
+    {17, 18, 84, 92, *range(104, 110), 113, 115, 117, 118, 119, 140, 141, 190, 191}
+)
+_OWNERS_FROM = 200
+_TEXTS = frozenset({23, 28, 32, 36, 117, 118, 550, 551, 587, 588, 589, 1002})
+"""Commands followed by any text."""
+
+_FIRST = re.compile(
+    r'[ \t]*(?:N[ \t]*\d+[ \t]*)?M[ \t]*(\d{1,5})(?:\.\d+)?(?=[ \t\r\nA-Z;(]|\Z)',
+    re.IGNORECASE | re.ASCII,
+)
+_HOMING = re.compile(
+    r'[ \t]*(?:N[ \t]*\d+[ \t]*)?G[ \t]*0*(2[6-9]|3[0-5])(?:\.\d+)?(?![\d.])',
+    re.IGNORECASE | re.ASCII,
+)
+_EXTENDED = re.compile(r'[ \t]*([A-Z][A-Z_][A-Z0-9_]+)(?=[ \t\r\n]|\Z)', re.IGNORECASE | re.ASCII)
+_MOTION = re.compile(r'(?<![A-Z_])G[ \t]*\d', re.IGNORECASE | re.ASCII)
+_BARE_AXIS = re.compile(r'(?<![A-Z_])[XYZ](?![A-Z_])', re.IGNORECASE | re.ASCII)
+
+
+def _owns_words(words: list[Word]) -> bool:
+    """Whether the first word, but for a number of the line, is a command that owns the others."""
+    first = words[1] if words[0].letter == 'N' and len(words) > 1 else words[0]
+    if first.letter != 'M' or first.value is None:
+        return False
+    return first.value >= _OWNERS_FROM or first.value in _OWNERS
+
+
+def _keep_words(line: Line) -> None:
+    """Leave a command alone with the words beside it, if it owns them."""
+    words = line.words
+    at = 1 if words[0].letter == 'N' else 0
+    if len(words) > at + 1 and _owns_words(words) and not any(one.letter == 'G' for one in words):
+        assert words[at].value is not None
+        line.kept = f'M{words[at].value:g}'
+        del words[at + 1 :]
+        line.computed = []
+
+
+def _keep_text(text: str, line: Line) -> bool:
+    """Take a command that is followed by any text."""
+    first = _FIRST.match(text)
+    if first is None or int(first[1]) not in _TEXTS:
+        return False
+    return _keep_command(text, line)
+
+
+def _keep_command(text: str, line: Line) -> bool:
+    """Take a line that is no sequence of words as a command with its own text; False if not.
+
+    What it says besides is not read: bare letters, versions, names, `KEY=VALUE`.  A line with a
+    motion is none.
+    """
+    first, homing = _FIRST.match(text), _HOMING.match(text)
+    match = first or homing or (None if line.strange else _EXTENDED.match(text))
+    if match is None:
+        return False
+    free = first is not None and int(first[1]) in _TEXTS
+    rest = text[match.end() :] if free else text[match.end() :].split(';')[0]
+    if not free and _MOTION.search(rest):
+        return False
+    line.open()
+    line.words = [
+        _word(word, 0) for word in _WORD.finditer(text, 0, match.end()) if first or homing
+    ]
+    line.kept = match[0].strip() if first is None else f'M{line.words[-1].value:g}'
+    line.strange, line.end = False, match.end() + len(rest.rstrip())
+    if homing:
+        line.words += [
+            Word(axis[0].upper(), None, match.end() + axis.start(), match.end() + axis.end())
+            for axis in _BARE_AXIS.finditer(rest)
+        ]
+    elif not first:
+        line.names.append(match[1].upper())
+    return True
+
+
 def _word(match: re.Match[str], number: int) -> Word:
-    value = float(match[2])
+    try:
+        value = float(match[2])
+    except ValueError:
+        value = float(''.join(match[2].split()))
     if not math.isfinite(value):
         raise ProgramError(number, f'expected a finite number but found {match[0][:30]!r}...')
     letter = match[1].upper()
@@ -380,7 +484,8 @@ def _flow(text: str, match: re.Match[str], number: int, line: Line) -> int:
     """Read an O-word with what stands in brackets after it."""
     end, kind = match.end(), match[3]
     try:
-        name: str | Expression = parameter_name(match[2] or str(int(match[1] or 0)))
+        digits = ''.join((match[1] or '0').split())
+        name: str | Expression = parameter_name(match[2] or str(int(digits)))
         if not match[1] and not match[2]:
             name, end = read_value(text, end)
             word = _KEYWORD.match(text, end)
@@ -403,6 +508,9 @@ def _remainder(text: str, at: int, number: int, line: Line) -> int:
     if sign == '"':
         return _string(text, at, number)
     if sign.isascii() and sign.isalpha():
+        if sign.upper() in _IDLE and text[at + 1 : at + 2] in _ENDS:
+            line.kept = sign.upper()
+            return at + 1
         if sign.upper() in _LETTERS:
             found = text[at + 1 :].split(';')[0].strip()
             raise ProgramError(number, f'expected a number after {sign} but found {found!r}')

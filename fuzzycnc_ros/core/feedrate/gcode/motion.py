@@ -14,9 +14,18 @@ from math import isfinite, nan
 
 import numpy as np
 
-from fuzzycnc_ros.core.feedrate.gcode.arcs import ABSOLUTE_MISFIT, PLANES, by_radius, centred, fits
+from fuzzycnc_ros.core.feedrate.gcode.arcs import (
+    ABSOLUTE_MISFIT,
+    MISFIT_INCH,
+    MISFIT_MILLIMETRE,
+    PLANES,
+    TURNS_MAX,
+    by_radius,
+    centred,
+    fits,
+)
 from fuzzycnc_ros.core.feedrate.gcode.lexer import Line, Word
-from fuzzycnc_ros.core.feedrate.gcode.modal import Cycle, State
+from fuzzycnc_ros.core.feedrate.gcode.modal import INCH, Cycle, State
 from fuzzycnc_ros.core.feedrate.gcode.segments import (
     ArcSegment,
     DwellSegment,
@@ -24,6 +33,7 @@ from fuzzycnc_ros.core.feedrate.gcode.segments import (
     Point,
     ProgramError,
     Segment,
+    UnplacedSegment,
 )
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve, check_machinable
 
@@ -33,14 +43,21 @@ _CENTRES = 'IJK'
 _ARC_NAMES = frozenset({'CR', 'TURN'})
 
 
+NO_PLACE = 'a motion from or to a place that the program does not say'
+
+
 class UnreadableError(Exception):
     """A motion whose geometry the program leaves to the controller; its message says why."""
 
 
-def named_axes(line: Line) -> str:
-    """Return which of X, Y and Z a line names."""
+def named_axes(line: Line, relative: bool = False) -> str:
+    """Return which of X, Y and Z a line names, if asked also as U, V and W."""
     named = {word.letter for word in line.words}
-    return ''.join(axis for axis in _XYZ if axis in named)
+    return ''.join(
+        axis
+        for axis, other in zip(_XYZ, 'UVW', strict=True)
+        if axis in named or (relative and other in named)
+    )
 
 
 def move(line: Line, number: int, state: State) -> Segment | None:
@@ -71,6 +88,7 @@ def move(line: Line, number: int, state: State) -> Segment | None:
     target = start.copy()
     arc_words = named = False
     moved = ''
+    pivot = state.pivot and state.motion in (0, 10)
     assumed = state.assumed if state.absolute else None
     for letter, value, _, _ in line.words:
         if letter in _XYZ:
@@ -79,10 +97,16 @@ def move(line: Line, number: int, state: State) -> Segment | None:
                 assumed.discard(letter)
             axis = _XYZ.index(letter)
             target[axis] = _coordinate(axis, value, start[axis], state)
+        elif letter in 'UVW' and state.lathe:
+            named = True
+            axis = 'UVW'.index(letter)
+            target[axis] += nan if value is None else state.length(axis, value, False)
         elif letter in _OTHER_AXES:
             moved += letter if _turn(letter, value, state) else ''
         elif letter in _CENTRES or letter == 'R':
             arc_words = True
+            if pivot and letter != 'R':  # the direction of the tool
+                moved += letter
     turning = bool(moved)
     motion = state.motion
     is_arc = motion in (20, 30)
@@ -90,34 +114,86 @@ def move(line: Line, number: int, state: State) -> Segment | None:
         return None
     _check_feed(number, state)
     strange = [name for name in line.assigned if not (is_arc and name in _ARC_NAMES)]
-    if motion not in (0, 10, 20, 30) or strange or state.polar or state.modal_call:
+    bent = state.polar or state.transform or state.modal_call
+    if motion not in (0, 10, 20, 30) or strange or bent:
         state.lose(named_axes(line))
         raise UnreadableError(_why(motion, strange, state))
     state.position = target
-    if not all(map(math.isfinite, (*start, *target))):
+    placed = all(map(math.isfinite, (*start, *target)))
+    if not placed:
         state.kind = ''
-        raise UnreadableError('a motion from or to a place that the program does not say')
+        start, target = _somewhere(line, start, target, state)
     begin, end = (start[0], start[1], start[2]), (target[0], target[1], target[2])
     if turning:
         _lose_relative(line, moved, state)
     feed = None if motion == 0 else state.feed
     run = state.run_of('rapid' if motion == 0 else 'kept' if turning or feed is None else 'feed')
+    segment: Segment
     if is_arc:
-        return _arc(line, number, state, (begin, end, feed, turning, run))
-    return LineSegment(number, begin, end, feed, motion == 0, turning, run)
+        segment = _arc(line, number, state, (begin, end, feed, turning, run))
+    else:
+        segment = LineSegment(number, begin, end, feed, motion == 0, turning, run)
+    if placed:
+        return segment
+    state.kind = ''
+    return UnplacedSegment.of(segment)
 
 
-def dwell(line: Line, number: int, state: State) -> DwellSegment:
-    """Return the wait of a line with G4: P, else X, U or F, in seconds."""
+def _somewhere(
+    line: Line, start: list[float], target: list[float], state: State
+) -> tuple[list[float], list[float]]:
+    """Return a start and an end that are as far apart as those of a line without a place.
+
+    Raises
+    ------
+    UnreadableError
+        If its way depends on the place.
+    """
+    begin = [value if isfinite(value) else 0.0 for value in start]
+    end = begin.copy()
+    words = {word.letter: word.value for word in line.words}
+    for axis, letter in enumerate(_XYZ):
+        relative = 'UVW'[axis] if state.lathe and 'UVW'[axis] in words else letter
+        if relative not in words:
+            continue
+        value = words[relative]
+        if isfinite(start[axis]) and isfinite(target[axis]):
+            end[axis] = target[axis]
+        elif value is None or (relative == letter and state.absolute):
+            raise UnreadableError(NO_PLACE)
+        else:
+            end[axis] += state.length(axis, value, False)
+    if state.centre_absolute and state.motion in (20, 30) and 'R' not in words:
+        raise UnreadableError(NO_PLACE)
+    return begin, end
+
+
+DWELL_MAX = 1e7
+"""Longest wait [s]: four months."""
+
+
+def dwell(line: Line, number: int, state: State) -> DwellSegment | None:
+    """Return the wait of a line with G4: P, else X, U or F, in seconds.
+
+    Printers take S in seconds and P in milliseconds.  None where the program does not tell how
+    long it is: it is computed, or S counts turns of the spindle (Siemens).
+    """
     found = {word.letter: word.value for word in line.words}
+    if state.printer:
+        found = {'P': found.get('S', 1e-3 * (found.get('P') or 0.0))}
     duration = next((found[letter] for letter in 'PXUF' if letter in found), 0.0)
-    if duration is not None and duration < 0.0:
-        raise ProgramError(number, f'expected a wait of at least 0 s but found {duration} s')
+    if duration is None or (duration == 0.0 and 'S' in found):
+        state.kind = ''
+        return None
+    if not 0.0 <= duration <= DWELL_MAX:
+        raise ProgramError(
+            number,
+            f'expected a wait of at least 0 s and at most {DWELL_MAX:g} s but found '
+            f'{duration:g} s',
+        )
     x, y, z = state.position
     place = (x, y, z)
-    return DwellSegment(
-        number, place, place, None, False, False, state.run_of('dwell'), duration or 0.0
-    )
+    return DwellSegment(number, place, place, None, False, False, state.run_of('dwell'), duration)
 
 
 def _coordinate(axis: int, value: float | None, before: float, state: State) -> float:
@@ -167,6 +243,8 @@ def _why(motion: int | None, strange: list[str], state: State) -> str:
         return f'a motion with {", ".join(sorted(strange))}'
     if state.polar:
         return 'a motion in polar coordinates (G16)'
+    if state.transform:
+        return f'a motion in the coordinates of {state.transform}'
     if state.modal_call or motion == -1:
         return 'a position at which a cycle runs'
     return 'a motion without G0 to G3 in effect'
@@ -183,7 +261,9 @@ def _arc(
     axes = PLANES[state.plane]
     words = {word.letter: word.value for word in line.words}
     words |= {name: line.assigned[name] for name in _ARC_NAMES & set(line.assigned)}
-    computed = [name for name in ('R', *_CENTRES, *_ARC_NAMES) if words.get(name, 0.0) is None]
+    computed = [
+        name for name in ('R', 'P', *_CENTRES, *_ARC_NAMES) if words.get(name, 0.0) is None
+    ]
     if computed:
         raise UnreadableError(
             f'an arc whose {", ".join(sorted(computed))} the controller computes'
@@ -194,7 +274,7 @@ def _arc(
     radius = words.get('CR', words.get('R'))
     plane = f'{_XYZ[axes[0]]} or {_XYZ[axes[1]]}'
     if radius is not None:
-        if not {_XYZ[axes[0]], _XYZ[axes[1]]} & set(words):
+        if not {_XYZ[axes[0]], _XYZ[axes[1]]} & set(named_axes(line, relative=state.lathe)):
             raise ProgramError(
                 number, f'expected an end ({plane}) of an arc with a radius but found none'
             )
@@ -210,7 +290,7 @@ def _arc(
         offset = [(words.get(letter) or 0.0) * state.length_unit for letter in letters]
         base = (0.0, 0.0) if state.centre_absolute else start2
         centre = (base[0] + offset[0], base[1] + offset[1])
-        if not fits(start2, end2, centre):
+        if not fits(start2, end2, centre, _misfit(state)):
             first, last = math.dist(start2, centre), math.dist(end2, centre)
             raise ProgramError(
                 number,
@@ -218,8 +298,12 @@ def _arc(
                 f'{1e3 * first:.6g} mm and {1e3 * last:.6g} mm: the radius does not fit; '
                 + _remedy(state, words, (start2, end2, (offset[0], offset[1]))),
             )
-        sweep = centred(start2, end2, centre, clockwise, _extra_turns(words, number))
+        sweep = centred(start2, end2, centre, clockwise, _extra_turns(words, number, state))
     return ArcSegment(number, begin, end, feed, False, turning, run, axes, centre, sweep)
+
+
+def _misfit(state: State) -> float:
+    return MISFIT_INCH if state.length_unit == INCH else MISFIT_MILLIMETRE
 
 
 def _remedy(
@@ -236,7 +320,8 @@ def _remedy(
     read, other = ('relative to the start', 'absolute ones'), (offset, 'G90.1')
     if state.centre_absolute:
         read, other = (read[1], read[0]), (relative, 'G91.1')
-    if fits(start, end, other[0]):
+    misfit = _misfit(state)
+    if fits(start, end, other[0], misfit):
         return (
             f'{named} are read as {read[0]} and would fit as {read[1]}: write {other[1]} above, '
             'if the control reads them so'
@@ -250,12 +335,17 @@ def _remedy(
         begin,
         (end[0] * share[0], end[1] * share[1]),
         offset if state.centre_absolute else (begin[0] + offset[0], begin[1] + offset[1]),
+        misfit,
     ):
         return 'X would fit as a diameter: write G7 above, if this is a program of a lathe'
     return f'check {named}, which are read as {read[0]}'
 
 
-def _extra_turns(words: dict[str, float | None], number: int) -> int:
+TURNS_IN_ALL = 10_000
+"""Turns of a program beyond the first of each arc: more would take minutes to schedule."""
+
+
+def _extra_turns(words: dict[str, float | None], number: int, state: State) -> int:
     """Return the full turns on top: P counts all begun turns, TURN= the ones on top."""
     turns = words.get('TURN')
     if turns is None:
@@ -264,8 +354,22 @@ def _extra_turns(words: dict[str, float | None], number: int) -> int:
         raise ProgramError(
             number, 'expected a whole number of turns of an arc, P from 1 or TURN= from 0'
         )
+    state.turns += int(turns)
+    for found, most, where in (
+        (turns, TURNS_MAX, 'an arc'),
+        (state.turns, TURNS_IN_ALL, 'all arcs of a program'),
+    ):
+        if found > most:
+            raise ProgramError(
+                number,
+                f'expected no more than {most:,} turns of {where} but found {found:,.0f}; of no '
+                'machine',
+            )
     return int(turns)
 
+
+_FARTHEST = 1e3
+"""Way of repeated holes beyond which nobody knows where they end [m]."""
 
 _FOLLOWED = frozenset({730, 810, 820, 830, 840, 850, 860, 890})
 """Cycles that end above the hole.
@@ -303,7 +407,8 @@ def run_cycle(line: Line, state: State) -> bool:
     state.kind = ''
     first, second, across = PLANES[state.plane]
     value = {word.letter: word.value for word in line.words}
-    plain = not line.assigned and not state.polar and not state.modal_call
+    bent = state.polar or state.transform or state.modal_call
+    plain = not line.assigned and not bent
     if cycle.code not in _FOLLOWED or not plain or not value.keys().isdisjoint('ABCUVW'):
         state.lose()
         return False
@@ -339,7 +444,9 @@ def _above(state: State, axis: int, value: dict[str, float | None]) -> float:
     if state.absolute:
         return length
     repeats = nan if 'K' in value else value.get('L', 1.0)
-    return before + length * round(repeats) if repeats and isfinite(repeats) else nan
+    if not repeats or not isfinite(repeats) or abs(length * repeats) > _FARTHEST:
+        return nan
+    return before + length * round(repeats)
 
 
 def _height(cycle: Cycle, state: State) -> float:
@@ -352,6 +459,9 @@ def _height(cycle: Cycle, state: State) -> float:
         return retract
     return start if state.retracts is False else nan
 
+
+POINTS_MAX = 2000
+"""Control points of a curve at most: each takes up to 0.1 s to schedule."""
 
 _FEWEST_ORDER = 3
 """LinuxCNC takes an L below that for this."""
@@ -384,6 +494,10 @@ class CurveBlock(ABC):
         """Return the curve; `ProgramError` if it is none."""
 
     def _numbers(self, words: list[Word], line: int) -> dict[str, float]:
+        if len(self.control) > POINTS_MAX:
+            raise ProgramError(
+                line, f'expected at most {POINTS_MAX:,} control points of a NURBS block; cut it'
+            )
         if not self.state.absolute:
             raise ProgramError(
                 line, 'expected absolute coordinates (G90) in a NURBS block but found G91'

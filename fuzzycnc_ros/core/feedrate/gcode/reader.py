@@ -13,6 +13,7 @@ from fuzzycnc_ros.core.feedrate.gcode.expressions import Expression
 from fuzzycnc_ros.core.feedrate.gcode.interpreter import Interpreter
 from fuzzycnc_ros.core.feedrate.gcode.lexer import FlowWord, Line, read_line, says
 from fuzzycnc_ros.core.feedrate.gcode.modal import INCH, MILLIMETRE
+from fuzzycnc_ros.core.feedrate.gcode.outline import Outline, outline_of
 from fuzzycnc_ros.core.feedrate.gcode.parameters import ARGUMENTS
 from fuzzycnc_ros.core.feedrate.gcode.segments import ProgramError
 
@@ -578,6 +579,8 @@ class _Run:
         """Begin M98 P100 L2."""
         value = {word.letter: word.value for word in line.words}
         program, repeats = value.get('P'), value.get('L', 1.0)
+        if program is None and not line.computed:  # P"file" of RepRap
+            return self._interpreter.read(text, line, number)
         if line.computed or program is None or repeats is None:
             raise _AstrayError('M98 with a computed number')
         start = self._main.labelled(str(round(program)))
@@ -632,43 +635,10 @@ def _sealed(block: Block) -> Block:
     return replace(block, role=role, segment=segment)
 
 
-_JUMP = re.compile(
-    r'(?:GOTO[FBCS]?[ \t]*N?|M0*9[79][ \t]*P|REPEATB?[ \t]+N|IF[ \t]*\[.*\][ \t]*N)'
-    r'[ \t]*(?:0*(\d{1,9})(?!\d)|[#\["])',
-    re.IGNORECASE | re.ASCII,
+_CONVERSATIONAL = re.compile(
+    r'\ufeff?\s*(?:\d+\s+)?(?:BEGIN\s+PGM|BLK\s+FORM|TOOL\s+(?:CALL|DEF)|CYCL\s+DEF)\b',
+    re.IGNORECASE,
 )
-_MAY_JUMP = re.compile(r'GOTO|M0*9[79]|REPEAT|IF', re.IGNORECASE | re.ASCII)
-_COMMENT = re.compile(r'\([^)\r\n]*\)?|;.*')
-
-
-def jump_targets(lines: Iterable[str]) -> frozenset[int] | None:
-    """Return where the jumps of a program lead.
-
-    They are `GOTO 10` and `M99 P10` of Fanuc, `M97 P10` of Haas, `GOTOB N10` and `REPEAT N10 N20`
-    of Siemens, and `IF [...] N10` of Okuma.
-
-    Parameters
-    ----------
-    lines : iterable of str
-        All lines; labels of Siemens' controls are known where they stand.
-
-    Returns
-    -------
-    frozenset of int or None
-        Numbers N of lines; None if one is computed, so that it may be any line.
-    """
-    found = set()
-    for line in lines:
-        if _MAY_JUMP.search(line) is None:
-            continue
-        for match in _JUMP.finditer(_COMMENT.sub('', line)):
-            if match[1] is None:
-                return None
-            found.add(int(match[1]))
-    return frozenset(found)
-
-
-_CONVERSATIONAL = re.compile(r'\s*\d+\s+BEGIN\s+PGM\b', re.IGNORECASE | re.ASCII)
 _LINE = re.compile(r'[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+')
 _UNITS = {'mm': MILLIMETRE, 'inch': INCH}
 
@@ -684,8 +654,8 @@ class ProgramReader:
         O-words and M98 are run.
     files : callable, optional
         Told the name of a subroutine, returns the text of its file; None where there is none.
-    jumps : frozenset of int or None
-        What `jump_targets` found in the program.
+    outline : Outline, optional
+        What `outline_of` found in the whole program; without it nothing is known of what follows.
 
     Examples
     --------
@@ -702,11 +672,11 @@ class ProgramReader:
         *,
         follow: bool = False,
         files: Files | None = None,
-        jumps: frozenset[int] | None = frozenset(),
+        outline: Outline | None = None,
     ) -> None:
         if units not in _UNITS:
             raise ValueError(f"expected units 'mm' or 'inch' but found {units!r}")
-        self._interpreter = Interpreter(_UNITS[units], jumps)
+        self._interpreter = Interpreter(_UNITS[units], outline or Outline())
         self._follow = follow
         self._files = files
 
@@ -744,11 +714,12 @@ class ProgramReader:
                     interpreter.notes.add(number, 'text after the end of the program: not read')
                 yield from interpreter.pass_by(text, number)
                 continue
-            if number == 1 and _CONVERSATIONAL.match(text):
+            if empty and _CONVERSATIONAL.match(text):
                 raise ProgramError(
-                    1,
-                    "expected G-code but found Heidenhain's plain-text language (BEGIN PGM): post "
-                    'the program for a control that reads G-code',
+                    number,
+                    "expected G-code but found Heidenhain's plain-text language "
+                    f'({text.split(";")[0].strip()[:30]}): post the program for a control that '
+                    'reads G-code',
                 )
             line = read_line(text, number)
             empty = empty and line.end == 0
@@ -802,6 +773,6 @@ def read_program(text: str, units: str = 'mm') -> Program:
     ((1, 3),)
     """
     lines = [match[0] for match in _LINE.finditer(text)]
-    reader = ProgramReader(units, follow=True, jumps=jump_targets(lines))
+    reader = ProgramReader(units, follow=True, outline=outline_of(lines))
     blocks = tuple(reader.blocks(lines))
     return Program(blocks, reader.notes)

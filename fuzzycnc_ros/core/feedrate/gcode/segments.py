@@ -64,6 +64,12 @@ class Segment(ABC):
     run: int
 
     @property
+    def way(self) -> Point:
+        """From its start to its end [m]; NaN where the program does not say."""
+        (x, y, z), (right, up, top) = self.start, self.end
+        return right - x, up - y, top - z
+
+    @property
     def schedulable(self) -> bool:
         """Whether its feed may be chosen anew."""
         return self.feed is not None and not self.turning and self.length > 0.0
@@ -145,6 +151,12 @@ class ArcSegment(Segment):
             math.hypot(start[first] - x, start[second] - y),
             math.hypot(end[first] - x, end[second] - y),
         )
+
+    @property
+    def misfit(self) -> float:
+        """Difference of both radii [m]."""
+        start, end = self.radii
+        return abs(end - start)
 
     @property
     def length(self) -> float:
@@ -237,6 +249,61 @@ class DwellSegment(Segment):
     def curvatures(self, count: int) -> Array:
         """Return zeros."""
         return np.zeros(count + 1)
+
+
+_NOWHERE = (math.nan, math.nan, math.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class UnplacedSegment(Segment):
+    """A line or an arc in relative coordinates, from a place that the program does not say.
+
+    Its length counts, its feed stays that of the program; start and end are NaN.
+
+    Parameters
+    ----------
+    shape : Segment
+        The same motion somewhere else.
+    """
+
+    shape: Segment
+
+    @classmethod
+    def of(cls, shape: Segment) -> 'UnplacedSegment':
+        """Return a motion without its place."""
+        return cls(
+            shape.line,
+            _NOWHERE,
+            _NOWHERE,
+            shape.feed,
+            shape.rapid,
+            shape.turning,
+            shape.run,
+            shape,
+        )
+
+    @property
+    def way(self) -> Point:
+        """From its start to its end [m]."""
+        return self.shape.way
+
+    @property
+    def schedulable(self) -> bool:
+        """Never."""
+        return False
+
+    @property
+    def length(self) -> float:
+        """Length of the way [m]."""
+        return self.shape.length
+
+    def points(self, count: int) -> Array:
+        """Return places that nobody knows, see `Segment.points`."""
+        return np.full((count + 1, 3), np.nan)
+
+    def curvatures(self, count: int) -> Array:
+        """Return the exact curvature, see `Segment.curvatures`."""
+        return self.shape.curvatures(count)
 
 
 _GAP = 1e-9

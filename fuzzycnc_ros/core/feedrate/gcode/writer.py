@@ -11,12 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Program, Role
-from fuzzycnc_ros.core.feedrate.gcode.modal import INCH, MINUTE
+from fuzzycnc_ros.core.feedrate.gcode.modal import feed_decimals, least_feed
 from fuzzycnc_ros.core.feedrate.gcode.segments import DwellSegment
-
-# Fine enough for 0.1 % of 1 mm/min; controllers take that many decimals.
-_DECIMALS_MILLIMETRE = 3
-_DECIMALS_INCH = 5
 
 # A feed that a word gives back within this is that word's own [-].
 _SAME = 1e-9
@@ -33,6 +29,12 @@ def _target_of(block: Block, feed: float | None) -> float | None:
         )
     if not 0.0 < feed < math.inf:
         raise ValueError(f'line {block.line}: expected a feed above 0 but found {feed} m/s')
+    least = least_feed(block.feed_unit)
+    if feed < least * block.feed_unit:
+        raise ValueError(
+            f'line {block.line}: expected a feed of at least {least:g} of the program per minute '
+            f'but found {feed} m/s'
+        )
     return feed
 
 
@@ -47,20 +49,15 @@ def _same(feed: float, other: float | None, unit: float) -> bool:
         return False
     if feed == other:
         return True
-    if abs(feed - other) > 2.0 * 10.0**-_DECIMALS_MILLIMETRE * unit:
+    if abs(feed - other) > 2e-3 * unit:
         return False
     return _number(feed, unit) == _number(other, unit)
 
 
 def _number(feed: float, unit: float) -> str:
     """Return a feed as digits, rounded down: no block runs faster than it should."""
-    decimals = _DECIMALS_INCH if unit == INCH / MINUTE else _DECIMALS_MILLIMETRE
-    steps = math.floor(feed / unit * 10.0**decimals * (1.0 + _SAME))
-    if steps == 0:
-        raise ValueError(
-            f'expected a feed of at least {10.0**-decimals:g} of the program per minute but '
-            f'found {feed} m/s'
-        )
+    decimals = feed_decimals(unit)
+    steps = max(math.floor(feed / unit * 10.0**decimals * (1.0 + _SAME)), 1)
     return f'{steps * 10.0**-decimals:.{decimals}f}'.rstrip('0')
 
 

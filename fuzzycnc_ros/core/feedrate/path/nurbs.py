@@ -368,7 +368,8 @@ class NurbsCurve:
         wanted = np.clip(wanted, 0.0, length[-1])
         piece = np.clip(np.searchsorted(length, wanted, side='right') - 1, 0, len(edge) - 2)
         low, high = edge[piece], edge[piece + 1]
-        share = (wanted - length[piece]) / (length[piece + 1] - length[piece])
+        span = length[piece + 1] - length[piece]  # 0 where the curve stands still
+        share = (wanted - length[piece]) / np.where(span > 0.0, span, 1.0)
         found = low + share * (high - low)
         for _ in range(_HALVINGS_MAX):
             excess = length[piece] + self._integral(edge[piece], found) - wanted

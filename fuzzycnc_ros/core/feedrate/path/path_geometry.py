@@ -328,6 +328,12 @@ def _spline_shape(point: Array) -> tuple[Array, Array]:
     spline = CubicSpline(np.append(0.0, np.cumsum(chord)), point, bc_type=ends)
     first, second = spline(spline.x, 1), spline(spline.x, 2)
     size = vector_lengths(first)[:, np.newaxis]
+    if not (size > 0.0).all():
+        index = int(np.argmin(size))
+        raise ValueError(
+            f'points: expected a path that goes on but found it straight back on itself at point '
+            f'{index}, {point[index].tolist()} m; end one path there and begin the next'
+        )
     along = first / size
     across = second - (second * along).sum(axis=1, keepdims=True) * along
     return along, np.asarray(across / size**2)

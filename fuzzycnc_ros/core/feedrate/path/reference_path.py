@@ -30,7 +30,8 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array, dot_products, vector_lengths
-from fuzzycnc_ros.core.feedrate.gcode.segments import DwellSegment, Segment
+from fuzzycnc_ros.core.feedrate.gcode.segments import DwellSegment, NurbsSegment, Segment
+from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.path.path_geometry import (
     SMOOTH_TURN,
     PathGeometry,
@@ -509,7 +510,8 @@ def _bodies(
     place = begin + (end - begin) * (step / size[row])
     graded = (shapes.kind[row] == LINE) & (size[row] > 1)
     near = np.minimum(step, left)
-    distance = np.where(near > 0, np.ldexp(_END, 2 * (near.astype(np.intc) - 1)), 0.0)
+    graded_near = np.minimum(near, _STEPS)  # of lines; curves have more nodes
+    distance = np.where(near > 0, np.ldexp(_END, 2 * (graded_near.astype(np.intc) - 1)), 0.0)
     place = np.where(graded, np.where(step <= left, begin + distance, end - distance), place)
     place = np.where(left == 0, end, place)
     for k in np.flatnonzero((shapes.kind == CURVE) & (size > 1)).tolist():
@@ -876,6 +878,27 @@ class PathBuilder:
             )
         moving = np.array(placed, dtype=np.intp)[length > _SHORT]
         return moving, (line[-1], given[placed[-1]].end)
+
+
+def smooth_geometry(curve: NurbsCurve) -> PathGeometry:
+    """Return a curve as smooth pieces, with a stop wherever it turns on the spot.
+
+    Parameters
+    ----------
+    curve : NurbsCurve
+        In the plane or in space.
+    """
+    missing = 3 - curve.dimension
+    space = NurbsCurve(
+        np.pad(curve.control, ((0, 0), (0, missing))), curve.weight, curve.knot, curve.degree
+    )
+    first, last = (tuple(space.point(u).tolist()) for u in space.domain)
+    builder = PathBuilder()
+    segment = NurbsSegment(1, first, last, None, False, False, 0, space, 1)
+    parts = [builder.push([segment]), builder.finish()]
+    geometry = ReferencePath.join([part for part in parts if part is not None]).geometry
+    axes = slice(0, curve.dimension)
+    return PathGeometry(geometry.coefficient[:, :, axes], geometry.node, geometry.stop)
 
 
 def _running_sums(length: Array) -> Array:

@@ -40,6 +40,11 @@ _LEAST = 1e-7
 """Pieces shorter than this share of the stretch are not cut."""
 _JUMP = 1e-6
 """Jump of the curvature at a knot that cuts a curve, as a share of the curvature there [-]."""
+STILL_LENGTH = 2e-9
+"""Length up to which a stretch is none [m], as with segments."""
+_PROBES = 9
+"""Places in a span of a curve at which its speed is looked at."""
+_NARROWINGS = 60
 _ASIDE = 1e-6
 """Share of a stretch at which a point without a direction takes the one of its neighbour."""
 
@@ -117,15 +122,19 @@ def _curve_stretches(segment: NurbsSegment, start: Array) -> list[_CurveStretch]
             f'{curve.dimension} coordinates; give its points a Z'
         )
     edges = _edges(curve)
-    shift = start - curve.point(curve.domain[0])
-    found = []
-    for low, high in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+    way = np.diff(curve.arc_length(edges))
+    found: list[_CurveStretch] = []
+    for low, high, length in zip(
+        edges[:-1].tolist(), edges[1:].tolist(), way.tolist(), strict=True
+    ):
+        if length <= STILL_LENGTH:  # equal control points: the curve stands still
+            continue
+        shift = (found[-1].end if found else start) - curve.point(low)
         offset = float(curve.arc_length(low))
         place = _nodes(curve, low, high)
         node = np.clip(curve.parameter(np.clip(place, 0.0, curve.length)), low, high)
         node[[0, -1]] = low, high
         found.append(_CurveStretch(curve, low, high, offset, shift, place - offset, node))
-        shift = np.zeros(3)
     return found
 
 
@@ -152,19 +161,44 @@ def _frames(curve: NurbsCurve, u: Array, low: float, high: float) -> tuple[Array
 
 
 def _edges(curve: NurbsCurve) -> Array:
-    """Return the parameters between which the curve is smooth, both ends of it included."""
+    """Return the parameters between which the curve is smooth, both ends of it included.
+
+    Where it stands still, of equal control points, and where it turns back on the spot, it is not.
+    """
     first, last = curve.domain
     knot, times = np.unique(curve.knot, return_counts=True)
-    inner = knot[(knot > first) & (knot < last) & (times >= curve.degree - 1)]
+    inside = (knot > first) & (knot < last)
+    span = np.concatenate([[first], knot[inside], [last]])
+    still = np.diff(curve.arc_length(span)) <= STILL_LENGTH
+    cusps = _cusps(curve, span[:-1][~still], span[1:][~still])
+    edges = np.unique([first, *span[:-1][still], *span[1:][still], *cusps, last])
+    inner = knot[inside & (times >= curve.degree - 1) & ~np.isin(knot, edges)]
     if not len(inner):
-        return np.array([first, last])
+        return edges
     _, before, bend = _frames(curve, inner, first, last)
     left = [_frames(curve, np.array([u]), first, u) for u in inner.tolist()]
     ahead, behind = before, np.concatenate([one[1] for one in left])
     jump = vector_lengths(bend - np.concatenate([one[2] for one in left]))
     size = vector_lengths(bend)
     rough = (turn_angles(behind, ahead) > SMOOTH_TURN) | (jump > _JUMP * size + 1e-9)
-    return np.concatenate([[first], inner[rough], [last]])
+    return np.union1d(edges, inner[rough])
+
+
+def _cusps(curve: NurbsCurve, low: Array, high: Array) -> Array:
+    """Return where the curve comes to rest within its spans `low` to `high`, (k,) each."""
+    share = np.linspace(0.0, 1.0, _PROBES)
+    u = low[:, np.newaxis] + (high - low)[:, np.newaxis] * share
+    speed = vector_lengths(curve.derivative(np.minimum(u, np.nextafter(high, low)[:, np.newaxis])))
+    row, column = np.nonzero((speed[:, 1:-1] <= speed[:, :-2]) & (speed[:, 1:-1] <= speed[:, 2:]))
+    mean = curve.length / (curve.domain[1] - curve.domain[0])
+    left, right = u[row, column], u[row, column + 2]
+    for _ in range(_NARROWINGS if len(row) else 0):
+        one, other = left + (right - left) / 3.0, right - (right - left) / 3.0
+        slower = vector_lengths(curve.derivative(one)) <= vector_lengths(curve.derivative(other))
+        left, right = np.where(slower, left, one), np.where(slower, other, right)
+    found = 0.5 * (left + right)
+    found = np.concatenate([low, found])
+    return np.asarray(found[vector_lengths(curve.derivative(found)) <= _ASIDE * mean])
 
 
 def _nodes(curve: NurbsCurve, low: float, high: float) -> Array:

@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
-from math import inf, isnan, nan
+from math import inf, isnan, nan, pi
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -223,6 +223,9 @@ def _joined(path: SampledPath, part: SampledPath) -> SampledPath:
 _CHUNK = 2048
 """Blocks that are taken at a time."""
 
+_TURN = 2.0 * pi
+"""Angle of an arc that counts as a block: arcs of many turns have as many pieces [rad]."""
+
 QUIET = 1000
 """Blocks without motion after which a run is taken to be over."""
 
@@ -309,6 +312,12 @@ class ProgramRun:
         self._base = 0
         self._waiting: deque[ReferencePath] = deque()
         self._begun = False
+        self._blend: float | None = None  # of its corners, once the first segment has come
+
+    @property
+    def corners(self) -> float:
+        """How far its corners are rounded off [m]."""
+        return self._settings.blend if self._blend is None else self._blend
 
     def schedule(self) -> Iterator[tuple[Block, float | None]]:
         """Yield the blocks of the run, each with its feed [m/s], None where it has none."""
@@ -329,13 +338,15 @@ class ProgramRun:
 
     def _chunks(self) -> Iterator[tuple[list[Segment], bool]]:
         """Yield the segments of the run, and whether more come; its blocks become pending."""
-        run, quiet, taken = None, 0, 0
+        settings, run, quiet, taken = self._settings, None, 0, 0
         chunk: list[Segment] = []
         while (block := self._source.next) is not None and quiet < QUIET:
             segment = block.segment
             if segment is not None:
-                run = segment.run if run is None else run
-                if segment.run != run:
+                rounding = settings.rounding(block.rounding)
+                if run is None:
+                    run, self._blend = segment.run, rounding
+                if segment.run != run or rounding != self._blend:
                     break
             quiet = 0 if segment is not None else quiet + 1
             self._source.take()
@@ -345,20 +356,23 @@ class ProgramRun:
                 self._pending.append((block, self._moves))
                 if isinstance(segment, ArcSegment):
                     self._bends[self._moves] = float(segment.curvatures(1).max())
+                    taken += max(int(abs(segment.sweep) / _TURN) - 1, 0)
                 elif not isinstance(segment, LineSegment):
                     self._bends[self._moves] = inf
                 self._moves += 1
                 chunk.append(segment)
             taken += 1
-            if taken == _CHUNK:
+            if taken >= _CHUNK:
                 yield chunk, True
                 chunk, taken = [], 0
         yield chunk, False
 
     def _paths(self) -> Iterator[ReferencePath]:
         """Yield the reference path of the run in parts, with nodes for the scheduler."""
-        builder = PathBuilder(blend=self._settings.blend)
+        builder: PathBuilder | None = None
         for chunk, more in self._chunks():
+            if builder is None:
+                builder = PathBuilder(blend=self.corners)
             parts = [builder.push(chunk)]
             if not more and builder.moved:  # not where the run is shorter than rounding
                 parts.append(builder.finish())

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Program
+from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Program, Role
 from fuzzycnc_ros.core.feedrate.gcode.segments import (
     DwellSegment,
     LineSegment,
@@ -321,7 +321,7 @@ class ProgramTimes:
         Rapids, waits, and blocks that keep their feed: parts of both times [s].
     blocks, chosen, curves, stops, untimed : int
         Lines; blocks whose feeds are chosen, and NURBS curves among them; exact stops at their
-        ends; motions of unknown time.
+        ends; motions, cycles and calls of unknown time, which are in neither time.
     """
 
     duration: float = 0.0
@@ -361,10 +361,14 @@ class _FixedMotions:
     def __init__(self, settings: ProgramSettings, times: ProgramTimes) -> None:
         self._settings = settings
         self._times = times
-        self._gathered: list[Segment] = []
+        self._gathered: list[tuple[Segment, float | None]] = []
 
-    def take(self, segment: Segment) -> None:
-        self._gathered.append(segment)
+    def take(self, block: Block) -> None:
+        segment = block.segment
+        if segment is None:
+            self._times.untimed += block.role in (Role.RAPID, Role.KEPT, Role.SEALED)
+            return
+        self._gathered.append((segment, block.feed if segment.feed is None else segment.feed))
         if len(self._gathered) == _GATHERED:
             self.count()
 
@@ -374,17 +378,17 @@ class _FixedMotions:
         if not segments:
             return
         settle = self._settings.settle
-        way = np.subtract([one.end for one in segments], [one.start for one in segments])
+        way = np.array([one.way for one, _ in segments])
         least = rest_to_rest(way, self._settings.limits).tolist()
-        for segment, time in zip(segments, least, strict=True):
+        for (segment, feed), time in zip(segments, least, strict=True):
             if isinstance(segment, DwellSegment):
                 self._times.add_fixed('dwell', segment.duration)
             elif segment.rapid:
                 self._times.add_fixed('rapid', time + (settle if time > 0.0 else 0.0))
             elif segment.length > 0.0 or segment.turning:
                 own = inf
-                if segment.feed is not None and segment.length > 0.0:
-                    own = segment.length / segment.feed
+                if feed is not None and segment.length > 0.0:
+                    own = segment.length / feed
                 self._times.add_fixed('kept', max(own, time) + settle)
 
 
@@ -494,6 +498,8 @@ class ProgramScheduler:
     ----------
     times : ProgramTimes
         Complete once all blocks have been yielded.
+    corners : set of float
+        How far corners were rounded off by the program's own words [m].
 
     Notes
     -----
@@ -529,6 +535,7 @@ class ProgramScheduler:
         self._motion = _ProgramMotion(settings)
         self._own_motion = _ProgramMotion(settings)
         self.times = ProgramTimes()
+        self.corners: set[float] = set()
         self._fixed = _FixedMotions(settings, self.times)
         self._lines = _LoneLines(settings, self.times, (self._motion, self._own_motion))
 
@@ -551,13 +558,12 @@ class ProgramScheduler:
         ValueError
             If the blocks make no path.
         """
-        source, times = Source(blocks), self.times
+        source, times, own = Source(blocks), self.times, self._settings.own_corners
         while (block := source.next) is not None:
             if block.segment is None or not block.segment.schedulable:
                 source.take()
                 times.blocks += 1
-                if block.segment is not None:
-                    self._fixed.take(block.segment)
+                self._fixed.take(block)
                 yield block, None
                 continue
             # Who observes is told of paths.
@@ -569,6 +575,10 @@ class ProgramScheduler:
             for item in ProgramRun(self._settings, source, self._drive).schedule():
                 times.blocks += 1
                 times.chosen += item[1] is not None
+                if own and item[0].rounding is not None and item[1] is not None:
+                    self.corners.add(item[0].rounding)
+                if item[0].segment is None:
+                    self._fixed.take(item[0])
                 times.curves += isinstance(item[0].segment, NurbsSegment)
                 yield item
         self._fixed.count()

@@ -35,6 +35,9 @@ class ProgramSettings:
         scheduler's tolerance, where it knows one: such a bend may be rounded off.
     blend : float
         Largest distance of the path from a corner that it rounds [m]; 0 stops at each corner.
+    own_corners : bool
+        Where the program says how far its corners may be rounded off (G64 P, G61), that counts
+        instead of `blend`.
     override : float
         Factor of the feed, above 0.  Above 1 it lifts the bound of the program, not the feed
         that keeps the tolerance.
@@ -59,6 +62,7 @@ class ProgramSettings:
     machine_constant: float = 2.1517e-4
     curvature_max: float | None = None
     blend: float = 0.0
+    own_corners: bool = True
     override: float = 1.0
     feed: float | None = None
     settle: float = 0.0
@@ -82,6 +86,10 @@ class ProgramSettings:
             if not isfinite(value) or value < 0.0 or (value == 0.0 and not zero):
                 wanted = '0 or more' if zero else 'above 0'
                 raise ValueError(f'{name}: expected a number {wanted} but found {value}')
+
+    def rounding(self, own: float | None) -> float:
+        """Return how far corners are rounded off where the program says `own`, or None [m]."""
+        return own if own is not None and self.own_corners else self.blend
 
     @property
     def sharpest(self) -> float:

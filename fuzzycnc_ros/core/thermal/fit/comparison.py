@@ -18,7 +18,7 @@ from fuzzycnc_ros.core.thermal.fit.candidates import CONTENDERS, Contender
 from fuzzycnc_ros.core.thermal.fit.evaluation import Evaluation, evaluate, pooled_rms
 from fuzzycnc_ros.core.thermal.fit.folds import thermal_cycles
 from fuzzycnc_ros.core.thermal.fit.refinement import Progress
-from fuzzycnc_ros.core.thermal.fit.training import at_interval, train_model
+from fuzzycnc_ros.core.thermal.fit.training import at_interval, train_model, training_interval
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun, hidden
 
 CHAIN = (0.5, 0.7, 1.0)
@@ -115,7 +115,7 @@ class Comparison:
 def splits(
     runs: Sequence[ThermalRun],
     windows: Sequence[tuple[float, float]] = (),
-    interval: float = 60.0,
+    interval: float | None = None,
 ) -> tuple[Split, ...]:
     """Return what is held out in turn: runs, thermal cycles, or the later part of a run.
 
@@ -127,9 +127,10 @@ def splits(
         else its last part is predicted from what came before, twice.
     windows : sequence of (float, float)
         Stretches of a single run to hold out instead, first and last second.
-    interval : float
-        Sampling interval of the models [s].  A single run is averaged to it before it is cut:
-        a sample half in and half out of a stretch would tell what is held out.
+    interval : float, optional
+        Sampling interval of the models [s]; see `training_interval`.  A single run is averaged to
+        it before it is cut: a sample half in and half out of a stretch would tell what is held
+        out.
 
     Raises
     ------
@@ -148,7 +149,7 @@ def splits(
             Split(run.name, tuple(other for other in runs if other is not run), run)
             for run in runs
         )
-    run = at_interval(runs[0], interval)
+    run = at_interval(runs[0], training_interval(runs, interval))
     if not windows:
         cycle, measured = thermal_cycles(run), np.isfinite(run.displacement).any(axis=1)
         rows = [np.flatnonzero(cycle == number) for number in np.unique(cycle[measured])]
@@ -163,7 +164,7 @@ def judge(
     *,
     candidates: Sequence[str] | None = None,
     contenders: Mapping[str, Contender] = CONTENDERS,
-    interval: float = 60.0,
+    interval: float | None = None,
     sensors: str = 'auto',
     n_clusters: int = 5,
     spindle_speed: bool = True,

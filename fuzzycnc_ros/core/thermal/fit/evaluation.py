@@ -8,7 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.thermal.band import WIDTH, coverage, largest_of, mean_of_square
+from fuzzycnc_ros.core.thermal.band import (
+    WIDTH,
+    band_ratio,
+    coverage,
+    independent_residuals,
+    is_false_band,
+    largest_of,
+    mean_of_square,
+)
 from fuzzycnc_ros.core.thermal.candidate import DEFAULT
 from fuzzycnc_ros.core.thermal.fingerprint import recognised_in
 from fuzzycnc_ros.core.thermal.fit.training import at_interval
@@ -44,6 +52,10 @@ class Evaluation:
         if nothing was measured.
     half_width : ndarray, shape (c,)
         Root mean square of the half width of the band where it was judged [m].
+    independent : ndarray, shape (c,)
+        How many independent residuals those of 'default' are as good as [-].
+    band_ratio : ndarray, shape (c,)
+        Root mean square of the residuals of 'default' over the predicted deviation [-].
     time : ndarray, shape (n,)
         Time of each judged sample [s].
     measured : ndarray, shape (n, c)
@@ -67,10 +79,27 @@ class Evaluation:
     trained_on: Mapping[str, float]
     covered: Array
     half_width: Array
+    independent: Array
+    band_ratio: Array
     time: Array
     measured: Array
     predicted: Mapping[str, Array]
     recognised: bool = True
+
+    def false_band(self, runs: int = 1) -> tuple[str, ...]:
+        """Return the channels whose band holds far less than it promises; see `is_false_band`.
+
+        Parameters
+        ----------
+        runs : int
+            Number of runs that are judged, each by itself.
+        """
+        figures = zip(self.channel, self.covered, self.band_ratio, self.independent, strict=True)
+        return tuple(
+            name
+            for name, share, ratio, count in figures
+            if is_false_band(share, ratio, count, runs)
+        )
 
 
 def evaluate(
@@ -142,7 +171,8 @@ def evaluate(
     trained_on, recognised = recognised_in(
         model.fingerprints, recorded or run, (recorded or run).inside(start, stop)
     )
-    band = WIDTH * model.standard_deviation(rise[inside])
+    deviation = model.standard_deviation(rise[inside])
+    residual = predictions[DEFAULT][inside] - measured
     judged = np.isfinite(measured)
     return Evaluation(
         run=run.name,
@@ -155,13 +185,36 @@ def evaluate(
         in_domain=0.0 if warm else float(model.in_domain(rise[inside]).mean()),
         warm=warm,
         trained_on=trained_on,
-        covered=coverage(predictions[DEFAULT][inside] - measured, band / WIDTH),
-        half_width=np.sqrt(mean_of_square(np.where(judged, band, np.nan))),
+        covered=coverage(residual, deviation),
+        half_width=np.sqrt(mean_of_square(np.where(judged, WIDTH * deviation, np.nan))),
+        independent=independent_residuals(residual, deviation),
+        band_ratio=band_ratio(residual, deviation),
         time=even.time[inside],
         measured=measured,
         predicted={name: predicted[inside] for name, predicted in predictions.items()},
         recognised=recognised,
     )
+
+
+def pooled_coverage(judged: Sequence[Evaluation]) -> tuple[Array, Array, Array]:
+    """Return `covered`, `band_ratio` and `independent` of all runs together, (c,) each.
+
+    Each run counts with as many residuals as it has independent ones.
+    """
+    number = np.array([item.independent for item in judged])
+    covered = np.array([np.nan_to_num(item.covered) for item in judged])
+    square = np.array([np.nan_to_num(item.band_ratio) ** 2 for item in judged])
+    total = number.sum(axis=0)
+    known = np.where(total > 0.0, total, np.nan)
+    ratio = np.sqrt((number * square).sum(axis=0) / known)
+    return (number * covered).sum(axis=0) / known, ratio, np.asarray(total)
+
+
+def false_bands(judged: Sequence[Evaluation]) -> list[str]:
+    """Return the channels whose band is false in a run, or over all runs."""
+    found = {name for item in judged for name in item.false_band(len(judged))}
+    figures = zip(judged[0].channel, *pooled_coverage(judged), strict=True)
+    return [name for name, *each in figures if name in found or is_false_band(*each)]
 
 
 def pooled_rms(judged: Sequence[Evaluation]) -> dict[str, Array]:

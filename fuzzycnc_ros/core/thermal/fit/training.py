@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.remedies import Remedy
 from fuzzycnc_ros.core.thermal.band import fitted_band
 from fuzzycnc_ros.core.thermal.candidate import (
     SPEED_SUFFIX,
@@ -75,7 +76,7 @@ def train_model(
     runs: Sequence[ThermalRun],
     *,
     model: str = 'auto',
-    interval: float = 60.0,
+    interval: float | None = None,
     sensors: str = 'auto',
     n_clusters: int = 5,
     candidates: Sequence[str] = STANDARD,
@@ -94,8 +95,9 @@ def train_model(
     model : str
         Candidate to use for every channel, or 'auto' for the best on held-out samples: whole
         runs where there are several, contiguous stretches of three lengths of a single one.
-    interval : float
-        Sampling interval of the model [s]; faster runs are averaged.
+    interval : float, optional
+        Sampling interval of the model [s]; faster runs are averaged.  If absent, 60 s, or that of
+        the slowest run.
     sensors : {'auto', 'clusters', 'all'}
         'clusters' chooses one sensor per cluster, 'all' takes every sensor that warms up,
         'auto' takes all up to 24 sensors and clusters above.
@@ -128,6 +130,7 @@ def train_model(
         If `model` or `sensors` is unknown.
     """
     names = _names(model, candidates, compared, contenders)
+    interval = training_interval(runs, interval)
     even = [at_interval(run, interval) for run in runs]
     check_training_runs(even)
     fingerprints = tuple(Fingerprint.of(run) for run in runs)
@@ -203,9 +206,31 @@ def at_interval(run: ThermalRun, interval: float) -> ThermalRun:
     if step > interval * (1.0 + JITTER_MAX):
         raise ThermalDataError(
             f'run {run.name!r}: expected a sample every {interval:g} s or more often, but found '
-            f'one every {step:g} s; record faster or train with interval={step:g}'
+            f'one every {step:g} s',
+            Remedy('record faster', {}),
+            Remedy(f'train with an interval of {step:g} s', {'interval': f'{step:g}'}),
         )
     return run.resample(interval)
+
+
+INTERVAL = 60.0
+"""Sampling interval of a model of runs that are sampled as fast, or faster [s]."""
+
+
+def training_interval(runs: Sequence[ThermalRun], wanted: float | None = None) -> float:
+    """Return the sampling interval of a model [s].
+
+    Parameters
+    ----------
+    runs : sequence of ThermalRun
+        Runs to train on.
+    wanted : float, optional
+        Interval that was asked for [s]; if absent, a minute, or that of the slowest run.
+    """
+    if wanted is not None:
+        return wanted
+    slowest = max(float(np.median(np.diff(run.time))) for run in runs)
+    return INTERVAL if slowest <= INTERVAL * (1.0 + JITTER_MAX) else round(slowest, 3)
 
 
 def _names(

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from fuzzycnc_ros.core.remedies import Remedy
 from fuzzycnc_ros.core.thermal.run import (
     GAP_MAX,
     JITTER_MAX,
@@ -16,6 +17,7 @@ from fuzzycnc_ros.core.thermal.run import (
     Gap,
     ThermalDataError,
     ThermalRun,
+    without_sensors,
 )
 
 _SENSORS_MAX = 500
@@ -56,7 +58,7 @@ def check_training_runs(runs: Sequence[ThermalRun]) -> None:
         _check_same(first, run)
     check_gaps(runs)
     for run in runs:
-        _check_rise(run)
+        check_rise(run)
     if max(float(np.ptp(run.temperature, axis=0).max()) for run in runs) < RISE_MIN:
         raise ThermalDataError(
             f'runs: expected a sensor that warms by {RISE_MIN} K, but found none; '
@@ -91,19 +93,17 @@ def check_gaps(runs: Sequence[ThermalRun]) -> None:
     remedies = []
     sensors = tuple(dict.fromkeys(gap.sensor for _, gap in lost))
     if len(sensors) < len(runs[0].sensor):
-        remedies.append(f'leave out with --drop-sensor {",".join(sensors)}')
-    window = _window_between([gap for _, gap in lost], runs)
-    if window:
-        remedies.append(f'use the part with all readings, {window}')
+        remedies.append(without_sensors(*sensors))
+    remedies += _window_between([gap for _, gap in lost], runs)
     raise ThermalDataError(
         f'runs: expected readings of every sensor at most {GAP_MAX / 60.0:g} min apart, and one '
-        f'of the first three, but found none of {", ".join(texts[:GAPS_NAMED])}{more}; '
-        + (', or '.join(remedies) or 'record anew')
+        f'of the first three, but found none of {", ".join(texts[:GAPS_NAMED])}{more}',
+        *(remedies or [Remedy('record anew', {})]),
     )
 
 
-def _window_between(gaps: Sequence[Gap], runs: Sequence[ThermalRun]) -> str:
-    """Return the options of the longest window without gaps; '' if a run has too little in it.
+def _window_between(gaps: Sequence[Gap], runs: Sequence[ThermalRun]) -> list[Remedy]:
+    """Return the longest window without gaps as a remedy; none if a run has too little in it.
 
     Behind a gap it begins when the history of before no longer matters.
     """
@@ -114,16 +114,18 @@ def _window_between(gaps: Sequence[Gap], runs: Sequence[ThermalRun]) -> str:
         best = max(best, (free, gap.start), key=lambda window: window[1] - window[0])
         free = max(free, gap.stop + SETTLE_TIME)
     if min(int(run.inside(*best).sum()) for run in runs) < SAMPLES_MIN:
-        return ''
-    options = []
+        return []
+    words, arguments = ['use the part with all readings'], {}
     if best[0] > first:
-        options.append(f'--start {best[0]:.10g}')
+        arguments['start'] = f'{best[0]:.10g}'
+        words.append(f'from {best[0]:.10g} s')
     if best[1] < last:
-        options.append(f'--end {best[1]:.10g}')
-    return ' '.join(options)
+        arguments['end'] = f'{best[1]:.10g}'
+        words.append(f'up to {best[1]:.10g} s')
+    return [Remedy(' '.join(words), arguments)]
 
 
-def _check_same(first: ThermalRun, run: ThermalRun) -> None:
+def _check_names(first: ThermalRun, run: ThermalRun) -> None:
     for field in ('sensor', 'channel', 'axis'):
         expected, found = getattr(first, field), getattr(run, field)
         if expected != found:
@@ -131,6 +133,10 @@ def _check_same(first: ThermalRun, run: ThermalRun) -> None:
                 f'run {run.name!r}: expected {field} {", ".join(expected)} as in run '
                 f'{first.name!r}, but found {", ".join(found)}'
             )
+
+
+def _check_same(first: ThermalRun, run: ThermalRun) -> None:
+    _check_names(first, run)
     if abs(run.interval - first.interval) > JITTER_MAX * first.interval:
         raise ThermalDataError(
             f'run {run.name!r}: expected the interval {first.interval:.6g} s of run '
@@ -138,17 +144,48 @@ def _check_same(first: ThermalRun, run: ThermalRun) -> None:
         )
 
 
-def _check_rise(run: ThermalRun) -> None:
+def unlike_most(runs: Sequence[ThermalRun]) -> dict[int, str]:
+    """Return the runs with other sensors, channels or axes than over half of them, and why so."""
+    layouts = [(run.sensor, run.channel, run.axis) for run in runs]
+    usual = max(layouts, key=layouts.count, default=None)
+    if usual is None or 2 * layouts.count(usual) <= len(runs):
+        return {}
+    odd = {}
+    for place, run in enumerate(runs):
+        try:
+            _check_names(runs[layouts.index(usual)], run)
+        except ThermalDataError as error:
+            odd[place] = str(error)
+    return odd
+
+
+def check_rise(run: ThermalRun) -> None:
+    """Refuse a run in which a temperature changes by over 10 K in a minute.
+
+    Raises
+    ------
+    ThermalDataError
+        It names the sensor and the sample.
+    """
     minute = max(1, round(60.0 / run.interval))
     if minute >= len(run.time):
         return
     change = np.abs(run.temperature[minute:] - run.temperature[:-minute])
-    limit = RISE_RATE_MAX * minute * run.interval / 60.0
-    if change.max() > limit:
-        row, column = np.unravel_index(int(np.argmax(change)), change.shape)
+    span = minute * run.interval
+    fastest = run.limits.values('rate_max', run.sensor, RISE_RATE_MAX / 60.0)
+    # Of the sensors as they are the fraction is that of before, to the last digit.
+    limit = np.where(fastest == RISE_RATE_MAX / 60.0, RISE_RATE_MAX * span / 60.0, fastest * span)
+    if (change > limit).any():
+        row, column = np.unravel_index(int(np.argmax(change - limit)), change.shape)
+        rate = float(change[row, column]) / span
         raise ThermalDataError(
-            f'run {run.name!r}: expected at most {RISE_RATE_MAX:g} K per minute, but found '
-            f'{change[row, column]:.3g} K within {minute * run.interval:.3g} s of sensor '
+            f'run {run.name!r}: expected at most {60.0 * fastest[column]:g} K per minute, but '
+            f'found {change[row, column]:.3g} K within {span:.3g} s of sensor '
             f'{run.sensor[column]!r} at sample {row}; check its plug; import the run without a '
-            f'single odd reading, or leave the sensor out: --drop-sensor {run.sensor[column]}'
+            'single odd reading',
+            without_sensors(run.sensor[column]),
+            Remedy(
+                f'if {run.sensor[column]} is heated so fast, give it limits of its own',
+                {'sensor_limits': f'{run.sensor[column]}:rate_max:{1.2 * rate:.2g}'},
+            ),
         )

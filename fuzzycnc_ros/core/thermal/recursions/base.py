@@ -23,13 +23,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core import portable
-from fuzzycnc_ros.core.arrays import Array, check_shapes
+from fuzzycnc_ros.core.arrays import NUMBER_MAX, Array, check_bounds, check_shapes
 from fuzzycnc_ros.core.document import Node
 
 _Self = TypeVar('_Self', bound='Recursion')
 
 
-def axes(names: str) -> dict[str, Any]:
+def axes(names: str, low: float = -NUMBER_MAX, high: float = NUMBER_MAX) -> dict[str, Any]:
     """Return what a field that is an array of a recursion declares.
 
     Parameters
@@ -37,8 +37,10 @@ def axes(names: str) -> dict[str, Any]:
     names : str
         A name for each axis: `c` is the channels, `p` the inputs, others are the form's own.  A
         name of several letters is the product of their lengths.
+    low, high : float
+        Bounds of its numbers, which are allowed themselves.
     """
-    return {'axes': tuple(names.split())}
+    return {'axes': tuple(names.split()), 'bounds': (low, high)}
 
 
 def part(*refused: str, but: str) -> dict[str, Any]:
@@ -77,8 +79,13 @@ class Recursion(ABC):
     @classmethod
     def _arrays(cls) -> dict[str, tuple[str, ...]]:
         """Return the axes of each declared array."""
-        declared = {item.name: item.metadata.get('axes') for item in fields(cls)}  # type: ignore[arg-type]
-        return {name: names for name, names in declared.items() if names}
+        return cls._declared('axes')
+
+    @classmethod
+    def _declared(cls, what: str) -> dict[str, Any]:
+        """Return what `axes` says of each declared array."""
+        found = fields(cls)  # type: ignore[arg-type]
+        return {item.name: item.metadata[what] for item in found if what in item.metadata}
 
     @classmethod
     def _parts(cls) -> dict[str, Mapping[str, Any]]:
@@ -113,6 +120,7 @@ class Recursion(ABC):
             for axis, length in zip(names, values.shape, strict=False):
                 sizes.setdefault(axis, length)
             check_shapes(self, **{name: tuple(sizes.get(axis, -1) for axis in names)})
+        check_bounds(self, **self._declared('bounds'))
         object.__setattr__(self, '_sizes', sizes)
         self._check()
 
@@ -349,10 +357,17 @@ def run_slices(runs: ArrayLike | None, samples: int) -> list[slice]:
     return [slice(first, last) for first, last in pairwise(cuts)]
 
 
+INTERVAL_MIN, INTERVAL_MAX = 1e-3, 86400.0
+"""Bounds of a sampling interval [s]: a millisecond, a day."""
+
+
 def check_interval(interval: float) -> None:
-    """Refuse an interval that is not a positive number of seconds."""
-    if not (np.isfinite(interval) and interval > 0.0):
-        raise ValueError(f'interval: expected a positive number of s, but found {interval}')
+    """Refuse an interval at which no machine is measured."""
+    if not INTERVAL_MIN <= interval <= INTERVAL_MAX:
+        raise ValueError(
+            f'interval: expected from {INTERVAL_MIN:g} to {INTERVAL_MAX:g} s, but found '
+            f'{interval:g}'
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -377,14 +392,14 @@ class LinearRecursion(Recursion):
 
     FORM: ClassVar[str] = 'linear'
 
-    pole: Array = field(metadata=axes('q'))
+    pole: Array = field(metadata=axes('q', 0.0, 1.0))
     drive: Array = field(metadata=axes('q p'))
     readout: Array = field(metadata=axes('c q'))
     direct: Array = field(metadata=axes('c p'))
     offset: Array = field(metadata=axes('c'))
 
     def _check(self) -> None:
-        if not ((self.pole >= 0.0) & (self.pole < 1.0)).all():
+        if not (self.pole < 1.0).all():
             raise ValueError(f'pole: expected poles in [0, 1), but found {self.pole}')
 
     def initial_state(self) -> Array:
@@ -663,7 +678,8 @@ def read_recursion(node: Node, inputs: int) -> Recursion:
         node.get('form').refuse(f'one of {", ".join(FORMS)}')
     module, _, kind = FORMS[name].rpartition('.')
     form: type[Recursion] = getattr(import_module(f'{__package__}.{module}'), kind)
-    return form.read(node, inputs)
+    with node.named():
+        return form.read(node, inputs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -754,6 +770,10 @@ BOUND_MIN = 1e-9
 """What counts as the largest deformation of a channel that never moved [m]."""
 
 
+BOUND_MAX = 1.0
+"""Largest bound of an output [m]: no machine grows so much."""
+
+
 @dataclass(frozen=True, eq=False)
 class BoundedRecursion(Recursion):
     """A recursion whose output is cut at a bound.
@@ -772,11 +792,7 @@ class BoundedRecursion(Recursion):
     FORM: ClassVar[str] = 'bounded'
 
     base: Recursion = field(metadata=part('bounded', but='a recursion that is not bounded'))
-    bound: Array = field(metadata=axes('c'))
-
-    def _check(self) -> None:
-        if not (self.bound > 0.0).all():
-            raise ValueError(f'bound: expected positive numbers, but found {self.bound}')
+    bound: Array = field(metadata=axes('c', BOUND_MIN, BOUND_MAX))
 
     def step(self, rise: Array, state: Array) -> tuple[Array, Array]:
         """Return the thermal errors (c,) [m] and the next state for one sample of rises (p,)."""

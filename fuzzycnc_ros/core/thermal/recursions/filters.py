@@ -233,12 +233,7 @@ class FilterNetworkRecursion(DelayedRecursion):
     bias: Array = field(metadata=axes('c h'))
     outer: Array = field(metadata=axes('c h'))
     offset: Array = field(metadata=axes('c'))
-    scale: Array = field(metadata=axes('c'))
-
-    def _check(self) -> None:
-        super()._check()
-        if not (self.scale > 0.0).all():
-            raise ValueError(f'scale: expected positive numbers, but found {self.scale}')
+    scale: Array = field(metadata=axes('c', 1e-12))
 
     def _linear(self) -> tuple[Array, Array]:
         rises = self.inner.reshape(self.bias.size, -1)

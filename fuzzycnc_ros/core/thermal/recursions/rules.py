@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from fuzzycnc_ros.core import portable
-from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.arrays import LENGTH_MIN, Array
 from fuzzycnc_ros.core.fuzzy.takagi_sugeno import log_firing, normalised_firing
 from fuzzycnc_ros.core.thermal.recursions.base import Recursion, axes, part
 
@@ -17,6 +17,10 @@ COMPOUND = ('bounded', 'corrected', 'parallel', 'series')
 """Forms made of others, which are no parts here: a document must not nest without end."""
 
 _WITHOUT_PARTS = 'a recursion without parts'
+
+
+FADE_MIN = 1e-6
+"""Least Mahalanobis distance in which a corrector fades out [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,14 +50,14 @@ class CorrectedRecursion(Recursion):
     corrector: Recursion = field(metadata=part(*COMPOUND, but=_WITHOUT_PARTS))
     mean: Array = field(metadata=axes('c p'))
     whitening: Array = field(metadata=axes('c p p'))
-    inner: Array = field(metadata=axes('c'))
-    outer: Array = field(metadata=axes('c'))
+    inner: Array = field(metadata=axes('c', 0.0))
+    outer: Array = field(metadata=axes('c', 0.0))
 
     def _check(self) -> None:
-        if not ((self.inner >= 0.0) & (self.outer > self.inner)).all():
+        if not (self.outer - self.inner >= FADE_MIN).all():
             raise ValueError(
-                f'outer: expected distances beyond the inner ones {self.inner}, but found '
-                f'{self.outer}'
+                f'outer: expected distances beyond the inner ones {self.inner} by {FADE_MIN:g} or '
+                f'more, but found {self.outer}'
             )
 
     @cached_property
@@ -106,17 +110,13 @@ class RulesRecursion(Recursion):
     STATIC: ClassVar[bool] = True
 
     center: Array = field(metadata=axes('c r p'))
-    width: Array = field(metadata=axes('c r p'))
+    width: Array = field(metadata=axes('c r p', LENGTH_MIN))
     slope: Array = field(metadata=axes('c r p'))
     offset: Array = field(metadata=axes('c r'))
 
     def _check(self) -> None:
-        rules = self.offset.shape[1]
-        if rules < 1 or not (self.width > 0.0).all():
-            raise ValueError(
-                f'width: expected one rule or more with positive widths, but found {rules} rules '
-                f'and a least width of {self.width.min(initial=np.inf):g}'
-            )
+        if self.offset.shape[1] < 1:
+            raise ValueError('offset: expected one rule or more, but found none')
 
     @cached_property
     def _inverse_width(self) -> Array:

@@ -204,7 +204,7 @@ def test_different_numbers_of_rules_run_side_by_side():
         (('channels',), [], 'at least one channel'),
         (('channels', 1, 'offset'), [0.0], 'offset: expected 3 numbers'),
         (('channels', 1, 'width', 0), [1.0, 2.0], '3 numbers'),
-        (('channels', 0, 'width', 0, 0), -1.0, 'positive widths'),
+        (('channels', 0, 'width', 0, 0), -1.0, 'width: expected numbers from 1e-09'),
         (('channels', 0, 'slope'), None, 'a list'),
     ],
 )

@@ -311,7 +311,7 @@ def broken(recursion, **changes):
         ({'feedback': [[[1.0]], [[1.0]] * 4]}, r'feedback\[0\]: expected 4 rows'),
         ({'outer': 3}, 'a list'),
         ({'scale': [50e-6]}, 'scale'),
-        ({'scale': [50e-6, 0.0]}, 'positive'),
+        ({'scale': [50e-6, 0.0]}, 'scale: expected numbers from 1e-12'),
         ({'scale': [50e-6, float('nan')]}, 'finite'),
     ],
 )

@@ -1,0 +1,53 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a process computes with is told in words, and compared."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from fuzzycnc_ros.components.thermal.compensator import Compensator
+from fuzzycnc_ros.runtime.arithmetic import apart, arithmetic
+from fuzzycnc_ros.runtime.provenance import configuration_record
+
+TELL = 'from fuzzycnc_ros.runtime.arithmetic import arithmetic; print(arithmetic())'
+
+
+def elsewhere(**variables: str) -> str:
+    """Return what a process computes with that these variables tell to use less."""
+    command = [sys.executable, '-c', TELL]
+    return subprocess.run(
+        command, env={**os.environ, **variables}, capture_output=True, text=True, check=True
+    ).stdout.strip()
+
+
+def test_a_configuration_says_what_its_node_computes_with():
+    version, _, told = configuration_record(Compensator(), 0).version.partition(' ')
+    assert version[0].isdigit()
+    assert told == arithmetic()
+    assert apart([told, told], arithmetic()) == ''
+
+
+@pytest.mark.parametrize(
+    ('name', 'value'),
+    [
+        ('OPENBLAS_CORETYPE', 'Prescott'),
+        ('GLIBC_TUNABLES', 'glibc.cpu.hwcaps=-FMA,-AVX2'),
+    ],
+)
+def test_other_instructions_are_another_kind_of_processor(name, value):
+    if 'kernel= ' in arithmetic() and name.startswith('OPENBLAS'):
+        pytest.skip('numpy computes with another BLAS here')
+    told = elsewhere(**{name: value})
+    assert apart([told], arithmetic()).startswith('on another kind of processor (')
+    assert apart([told], told) == ''
+
+
+def test_other_libraries_are_no_other_processor():
+    text = apart(['x86_64 kernel=Zen numpy=1'], 'x86_64 kernel=Zen numpy=2')
+    assert text == 'with other libraries (numpy=1, here numpy=2)'
+    assert 'another kind' in apart(
+        ['x86_64 kernel=Zen numpy=1'], 'x86_64 kernel=Cooperlake numpy=2'
+    )
