@@ -726,8 +726,8 @@ def _compare_topic(
                 if not magnitudes:
                     for kind, payload in recorded:
                         _note_magnitudes(deserialize(payload, kind), magnitudes)
-                messages = (deserialize(m, kind) for kind, m in (was, now))
-                apart = relative_difference(*messages, magnitudes)
+                first, second = (deserialize(m, kind) for kind, m in (was, now))
+                apart = relative_difference(first, second, magnitudes)
             largest, last = max(largest, apart), stamp
             difference = difference or f'{what}, at machine time {stamp / SECOND:.3f} s'
     counts = len(recorded), len(recomputed), identical
