@@ -109,7 +109,7 @@ def test_servo_axes_that_a_machine_file_does_not_know(refused_at_once, fuzzycnc,
     parameters = '/**/servo_controller:\n  ros__parameters:\n    axes: ["{}:machine_file"]\n'
     write('p/servo.yaml', parameters.format(axis))
     refused_at_once(*options, naming=['mill/servo_controller', *naming])
-    refused_at_once(*options[:4], naming=[f'data of the axis {axis}', '--machine-file'])
+    refused_at_once(*options[:4], naming=[f'data of the axis {axis}', 'give the machine file'])
     write('p/servo.yaml', parameters.format('X'))
     assert fuzzycnc('up', *options).err.endswith('error: a node was started\n')
 

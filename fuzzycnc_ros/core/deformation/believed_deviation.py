@@ -105,10 +105,12 @@ def believed_deviation(
     none = np.hypot(found[..., 0], found[..., 1])
     best = min(reaches, key=lambda reach: float(errors[reach][known].mean()))
     blocks = np.arange(len(nominal)) // _BLOCK
+    masks = (known & (blocks == block) for block in range(int(blocks[-1]) + 1))
+    # Shares, since a deviation that grows along the track differs more between blocks than chance.
     gains = np.array([
-        (none - errors[best])[:, blocks == block][known[:, blocks == block]].mean()
-        for block in range(int(blocks[-1]) + 1)
-        if known[:, blocks == block].any()
+        (none[mask] - errors[best][mask]).sum() / max((none + errors[best])[mask].sum(), _TINY)
+        for mask in masks
+        if mask.any()
     ])  # fmt: skip
     deviation = np.zeros_like(nominal)
     if _beyond_chance(gains):
@@ -119,7 +121,7 @@ def believed_deviation(
 
 
 def _beyond_chance(gains: Array) -> bool:
-    """Return whether gains are positive beyond chance; a single block tells nothing."""
+    """Return whether gains, one of each block, are positive beyond chance; one tells nothing."""
     if len(gains) < 2:
         return False
     limit = float(stdtrit(len(gains) - 1, 1.0 - CHANCE))

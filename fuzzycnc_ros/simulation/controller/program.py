@@ -267,7 +267,7 @@ def simulate(moves: ProgramMoves, limits: ControllerLimits) -> list[Commanded]:
     >>> limits = ControllerLimits(velocity=(0.25,) * 3, acceleration=(2.0,) * 3)
     >>> [found] = simulate(program_moves(program.blocks), limits)
     >>> f'{found.duration:.3f} s'
-    '0.301 s'
+    '0.314 s'
     """
     return [command(run, limits) for run in moves.runs()]
 

@@ -267,8 +267,8 @@ def test_samples_that_contradict_the_others_are_named(fuzzycnc, tmp_path, sample
 @pytest.mark.parametrize(
     ('runs', 'options', 'naming'),
     [
-        ([Run(), Run(path_id='circle')], (), ['circle, track', '--path']),
-        ([Run()], ('--path', 'circle'), ['--path', "'circle'", 'track']),
+        ([Run(), Run(path_id='circle')], (), ['circle, track', 'choose one path']),
+        ([Run()], ('--path', 'circle'), ['path: expected', "'circle'", 'track']),
         ([Run(), Run(name='felt')], (), ["'foam'", "'felt'", 'track at 21.000 s']),
         ([Run(), Run(thickness=20e-3)], (), ['thickness of 15 mm, not of 20 mm']),
         ([Run(), Run(depth=5e-3)], (), ['feed depth of 6 mm, not of 5 mm']),

@@ -80,8 +80,9 @@ def test_import_of_a_german_table(fuzzycnc):
     )  # fmt: skip
     outcome = fuzzycnc('import-csv', 'Export.csv', '--out', 'a', *options, '--json', 'i.json')
     assert outcome.code == 0, outcome
-    (remark,) = read_json('i.json')['remarks']
+    remark, zone = read_json('i.json')['remarks']
     assert remark == "times of 'Zeit' read as %d.%m.%Y %H:%M:%S"
+    assert 'the zone of this computer; --time-zone names another' in zone
     assert f'{remark}\n' in outcome.out
     Path('log.yaml').write_text(
         'time: Zeit\ntime_format: dd.mm.yyyy hh:mm:ss\ntemperatures: ["Vorn*", "Hinten*"]\n'

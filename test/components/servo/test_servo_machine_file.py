@@ -111,7 +111,7 @@ def test_texts_that_are_no_axis_are_refused(texts, message):
         (lambda: of('B'), r'axes: expected the model \(plant\) of B .* machine identify'),
         (
             lambda: ServoControllerConfig(axes=('X:machine_file',)),
-            'axes: expected data of the axis X but found none; .* --machine-file',
+            'axes: expected data of the axis X but found none; give the machine file',
         ),
         (
             lambda: of('Y', data={'Y': replace(SLOW, controller='', settings={})}),
