@@ -40,15 +40,16 @@ class OpcuaServerNode(ReportNode[OpcuaServerConfig]):
             from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
 
             paths = {name: Path(value).expanduser() for name, value in files.items()}
+            credentials = read_credentials(paths['credentials'])
             try:
                 check_secret(paths['private_key'], 'private_key')
-            except (OSError, ValueError) as error:
+            except OSError as error:
+                raise ParameterError(
+                    f'parameter private_key: {paths["private_key"]}: {error.strerror}'
+                ) from error
+            except ValueError as error:
                 raise ParameterError(str(error)) from error
-            entry = Entry(
-                paths['certificate'],
-                paths['private_key'],
-                *read_credentials(paths['credentials']),
-            )
+            entry = Entry(paths['certificate'], paths['private_key'], *credentials)
         self._server = ReportServer(
             self._machine, config.listen, config.port, config.age_max, entry
         )

@@ -48,7 +48,7 @@ TRACED = (UNCOMPENSATED, 'static_ridge', DEFAULT)
 def comparison_page(comparison: 'Comparison', facts: Mapping[str, str]) -> Page:
     """Return the page of a comparison: all held-out runs together, then one by one."""
     count = len(comparison.held_out)
-    best = '. '.join(line[:1].upper() + line[1:] for line in shown.best_lines(comparison))
+    best = '; '.join(shown.best_lines(comparison))
     sections = [_run_section(item) for item in comparison.held_out]
     if count > 1:
         sections.insert(0, _pooled_section(comparison))
@@ -59,7 +59,7 @@ def comparison_page(comparison: 'Comparison', facts: Mapping[str, str]) -> Page:
         title='Thermal models, compared on what they have not seen',
         summary=f'Judged on {runs}. Each time, sensors, settings, models and the automatic '
         f'choice came from the other samples alone{copies}. By rmse, of those that are trusted on '
-        f'every run: {best}. {shown.COMPARED_LINE[0].upper() + shown.COMPARED_LINE[1:]}.',
+        f'every run, {best}. {shown.COMPARED_LINE[0].upper() + shown.COMPARED_LINE[1:]}.',
         sections=sections,
         facts={'Judged': _spans(comparison), **facts},
     )

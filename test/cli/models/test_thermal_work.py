@@ -25,6 +25,7 @@ from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX, STANDARD
 from fuzzycnc_ros.core.thermal.fit import evaluate
 from fuzzycnc_ros.core.thermal.model import load_model
+from fuzzycnc_ros.runtime.arithmetic import arithmetic
 
 SHORT = ('--duties', 'T2', '--train', 'D0,T1')
 
@@ -322,9 +323,12 @@ def test_replay_finds_a_changed_message_and_ends_with_1(fuzzycnc):
 
 
 @pytest.mark.slow
-def test_replay_accepts_the_rounding_of_another_processor_and_says_so(fuzzycnc):
+def test_replay_accepts_the_rounding_of_another_processor_and_says_so(fuzzycnc, monkeypatch):
     assert fuzzycnc('simulate', *SHORT, '--out', 'shift').code == 0
     copy_with_another_error('shift', 'rounded', lambda error: error * (1.0 + 1e-13))
+    assert fuzzycnc('replay', 'rounded').code == 1, 'the same arithmetic has no excuse'
+    elsewhere = f'{arithmetic()} AVX9'
+    monkeypatch.setattr('fuzzycnc_ros.bags.replay.arithmetic', lambda: elsewhere)
     outcome = fuzzycnc('replay', 'rounded', '--json', 'r.json')
     assert outcome.code == 0, outcome
     assert 'equal up to rounding' in outcome.out

@@ -233,4 +233,4 @@ def test_the_best_candidate_may_be_none(fuzzycnc, lagging):
     figures = read_json('c.json')
     assert figures['best'] == {'dz': 'uncompensated'}
     assert figures['worse_than_none'] == []
-    assert 'trusted on every run: none.' in Path('c.html').read_text()
+    assert 'trusted on every run, best candidate: none.' in Path('c.html').read_text()
