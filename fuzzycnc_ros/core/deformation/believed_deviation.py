@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.deformation.training import beyond_chance, robust_deviation
 
 AS_MEASURED = 0
 """Reach of a smoothing that does nothing [stitches]."""
@@ -41,7 +41,6 @@ _BLOCK = 8
 """Stitches in a row whose errors count as one: neighbours are not independent."""
 _NEIGHBOURS = 4
 _ROUNDS = 8
-_RAYLEIGH_MEDIAN = 1.1774
 _TINY = 1e-12
 
 
@@ -113,19 +112,11 @@ def believed_deviation(
         if mask.any()
     ])  # fmt: skip
     deviation = np.zeros_like(nominal)
-    if _beyond_chance(gains):
+    if len(gains) > 1 and beyond_chance(gains, CHANCE):  # a single block tells nothing
         deviation = _smoothed(*_mean(found, outlier), way, side, best)
     return BelievedDeviation(
         deviation, outlier, best, float(errors[best][known].mean()), float(none[known].mean())
     )
-
-
-def _beyond_chance(gains: Array) -> bool:
-    """Return whether gains, one of each block, are positive beyond chance; one tells nothing."""
-    if len(gains) < 2:
-        return False
-    limit = float(stdtrit(len(gains) - 1, 1.0 - CHANCE))
-    return bool(gains.mean() > limit * gains.std(ddof=1) / np.sqrt(len(gains)))
 
 
 def _sides(nominal: Array, primitive: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -157,8 +148,7 @@ def _far(distance: Array, out: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return which distances are beyond what those that are not out have."""
     if out.all():
         return out
-    scale = float(np.median(distance[~out])) / _RAYLEIGH_MEDIAN
-    return np.asarray(distance > max(STRAY * scale, STRAY_MIN))
+    return np.asarray(distance > max(STRAY * robust_deviation(distance[~out]), STRAY_MIN))
 
 
 def _held_out(outlier: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:

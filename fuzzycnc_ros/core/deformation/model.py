@@ -172,8 +172,8 @@ class RuleNetwork:
         total = fitness.sum()
         pull = portable.matmul(self._outer, fitness).reshape(len(self.offset), -1)
         if not self.normalised:
-            total = total * portable.exp(-least)
-            return pull[:, 0] * portable.exp(-least) + self.offset, float(portable.log(total))
+            values = pull[:, 0] * portable.exp(-least) + self.offset
+            return values, float(portable.log(total) - least)
         if self.inner is None:
             pull *= np.concatenate([_ONE, row])
         else:

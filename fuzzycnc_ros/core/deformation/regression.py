@@ -23,6 +23,7 @@ from fuzzycnc_ros.core.deformation.model import (
     Gate,
     RuleNetwork,
 )
+from fuzzycnc_ros.core.deformation.training import robust_deviation
 from fuzzycnc_ros.core.threads import single_threaded
 
 PENALTIES = np.logspace(-6.0, 1.0, 15)
@@ -83,8 +84,8 @@ class _Inputs:
         return Antecedent(mean[np.newaxis], deviation[np.newaxis], 0.5, 2)
 
     def model(self, features: str, network: RuleNetwork, support: Array) -> DeformationModel:
-        """Return a model with the gate of the samples, from their support."""
-        gate = Gate.of_training(self.rows, support, SUPPORT_QUANTILE)
+        """Return a model with the gate of the samples, the first ones, that have a support."""
+        gate = Gate.of_training(self.rows[: len(support)], support, SUPPORT_QUANTILE)
         return DeformationModel(features, self.columns, network, gate, AxisGain.unit(2))
 
 
@@ -207,6 +208,16 @@ class _Process:
         whole.flat[:: len(whole) + 1] += self.noise + _JITTER
         return kernel, cho_solve(cho_factor(whole), np.eye(len(whole)))
 
+    def model(self, kernel: Array, inverse: Array) -> DeformationModel:
+        """Return its mean as rules, from what `inverse` returns."""
+        weight = self.signal * (inverse @ self.target) * self.spread
+        network = RuleNetwork(
+            self.rules, None, weight.T[:, np.newaxis], self.offset, normalised=False
+        )
+        # What the other samples say of each: its own kernel of 1 would hide that it stands alone.
+        support = np.log(np.maximum(kernel.sum(axis=1) - 1.0, 1e-12))[: self.own]
+        return self.data.model('load', network, support)
+
 
 _JITTER = 1e-8
 _LENGTH_PRIOR = (np.log(2.0), 1.5)
@@ -250,18 +261,7 @@ def gaussian_process(x: Array, s: Array) -> DeformationModel:
         some = np.linspace(0, len(x) - 1, PROCESS_MAX).astype(int)
         x, s = x[some], s[some]
     process = _Process.of(x, s)
-    kernel, inverse = process.inverse()
-    weight = process.signal * (inverse @ process.target) * process.spread
-    network = RuleNetwork(
-        process.rules, None, weight.T[:, np.newaxis], process.offset, normalised=False
-    )
-    # What the other samples say of each: its own kernel of 1 would hide that it stands alone.
-    support = np.log(np.maximum(kernel.sum(axis=1) - 1.0, 1e-12))[: process.own]
-    data = _Inputs.of(process.data.rows[: process.own], np.zeros((process.own, 2)), 'load')
-    return DeformationModel(
-        'load', process.data.columns, network,
-        Gate.of_training(data.rows, support, SUPPORT_QUANTILE), AxisGain.unit(2),
-    )  # fmt: skip
+    return process.model(*process.inverse())
 
 
 @single_threaded
@@ -285,12 +285,12 @@ def outlying(x: Array, s: Array) -> NDArray[np.bool_]:
     weight = load(*x[:, [1, 3, 4]].T)
     for _ in range(_ROUNDS):
         process = _Process.of(x[~out], s[~out])
-        _, inverse = process.inverse()
+        kernel, inverse = process.inverse()
         left = np.empty_like(s)
         own = inverse @ process.target / np.diag(inverse)[:, np.newaxis]
         left[~out] = own[: process.own] * process.spread * weight[~out, np.newaxis]
         if out.any():
-            left[out] = gaussian_process(x[~out], s[~out]).predict(x[out]) - s[out]
+            left[out] = process.model(kernel, inverse).predict(x[out]) - s[out]
         distance = np.hypot(*left.T)
         score = np.min([_scaled(distance, out), _scaled(distance / weight, out)], axis=0)
         now = score > CONTRADICTING
@@ -302,10 +302,6 @@ def outlying(x: Array, s: Array) -> NDArray[np.bool_]:
     return out
 
 
-_RAYLEIGH_MEDIAN = 1.1774
-"""Median length of a vector of two normal numbers, over their standard deviation [-]."""
-
-
 def _scaled(distance: Array, out: NDArray[np.bool_]) -> Array:
     """Return distances over their robust standard deviation, of those that are not out."""
-    return np.asarray(distance / max(float(np.median(distance[~out])) / _RAYLEIGH_MEDIAN, 1e-12))
+    return np.asarray(distance / max(robust_deviation(distance[~out]), 1e-12))

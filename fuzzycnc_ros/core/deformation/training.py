@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
-from scipy.special import expit
+from scipy.special import expit, stdtrit
 
 from fuzzycnc_ros.core.arrays import Array
 
@@ -290,6 +290,29 @@ def levenberg_marquardt(
             return weights
         weights, cost, damping = tried, tried_cost, max(damping / 4.0, 1e-12)
     return weights
+
+
+def beyond_chance(gain: Array, chance: float) -> bool:
+    """Return whether gains are positive beyond a chance, by Student's t test.
+
+    Parameters
+    ----------
+    gain : ndarray, shape (k,)
+        Gains of independent groups, two or more.
+    chance : float
+        Probability with which gains without any cause pass [-].
+    """
+    limit = float(stdtrit(len(gain) - 1, 1.0 - chance))
+    return bool(gain.mean() > limit * gain.std(ddof=1) / np.sqrt(len(gain)))
+
+
+_RAYLEIGH_MEDIAN = 1.1774
+"""Median length of a vector of two normal numbers, over their standard deviation [-]."""
+
+
+def robust_deviation(distance: Array) -> float:
+    """Return the standard deviation, along each axis, of vectors of these lengths, by a median."""
+    return float(np.median(distance)) / _RAYLEIGH_MEDIAN
 
 
 def equal_rows(inputs: Array) -> NDArray[np.int64]:

@@ -19,10 +19,7 @@ from fuzzycnc_ros.core.deformation.compensation import CompensatedPath, learn_of
 from fuzzycnc_ros.core.deformation.model import GAIN_MAX, GAIN_MIN, DeformationModel
 from fuzzycnc_ros.core.deformation.offset_file import SAME_POINT, StitchOffsets
 from fuzzycnc_ros.core.deformation.samples import RecordedPath
-from fuzzycnc_ros.studies.soft.foam_records import Samples
-
-NAMED = 10
-"""Outliers that are named one by one."""
+from fuzzycnc_ros.studies.soft.foam_records import Samples, first_named
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +77,9 @@ class Learnt:
         lines = []
         error, none = 1e3 * self.believed.error, 1e3 * self.believed.error_none
         if self.outliers:
-            more = len(self.outliers) - NAMED
             lines.append(
                 f'left out: {len(self.outliers)} stitches that lie far off their neighbours: '
-                f'{", ".join(self.outliers[:NAMED])}{f" and {more} more" if more > 0 else ""}'
+                f'{first_named(self.outliers)}'
             )
         if not self.believed.corrects:
             lines.append(

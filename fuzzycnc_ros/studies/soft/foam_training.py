@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.deformation.features import direction_doubts, feature_set, load
@@ -27,9 +26,9 @@ from fuzzycnc_ros.core.deformation.regression import (
     outlying,
     ridge_regression,
 )
-from fuzzycnc_ros.core.deformation.training import grouped_folds
+from fuzzycnc_ros.core.deformation.training import beyond_chance, grouped_folds
 from fuzzycnc_ros.core.threads import single_threaded
-from fuzzycnc_ros.studies.soft.foam_records import Samples
+from fuzzycnc_ros.studies.soft.foam_records import Samples, first_named
 
 Predictor = Callable[[Array], Array]
 Trainer = Callable[[Array, Array, NDArray[np.int64]], Predictor]
@@ -263,15 +262,9 @@ def _chosen(judged: FoamTraining, s: Array, groups: NDArray[np.int64]) -> int:
     best = 0
     for place in range(1, len(error)):
         level = AGAINST_SIMPLER if best else AGAINST_NONE
-        if _better(error[best] - error[place], level):
+        if beyond_chance(error[best] - error[place], level):
             best = place
     return best
-
-
-def _better(gain: Array, level: float) -> bool:
-    """Return whether gains of independent groups are positive beyond a chance."""
-    mean, deviation = float(gain.mean()), float(gain.std(ddof=1))
-    return mean > float(stdtrit(len(gain) - 1, 1.0 - level)) * deviation / len(gain) ** 0.5
 
 
 def _choice_line(judged: FoamTraining, method: str) -> str:
@@ -302,19 +295,14 @@ def _gate_line(model: DeformationModel) -> str:
     )
 
 
-NAMED = 10
-"""Outliers that are named one by one."""
-
-
 def _outlier_lines(samples: Samples, out: NDArray[np.bool_]) -> list[str]:
     """Return which samples contradict the others."""
     places = [samples.where[at] for at in np.flatnonzero(out)]
     if not places:
         return []
-    more = f' and {len(places) - NAMED} more' if len(places) > NAMED else ''
     return [
         f'left out: {len(places)} of {len(out)} samples that contradict the others: '
-        f'{", ".join(places[:NAMED])}{more}'
+        f'{first_named(places)}'
     ]
 
 
