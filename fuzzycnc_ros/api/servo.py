@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fuzzycnc_ros.bags.atomic import write_text
 from fuzzycnc_ros.core.identify.axis_data import identify_axis
 from fuzzycnc_ros.core.identify.axis_fit import AxisRecording
 from fuzzycnc_ros.core.machine.machine_data import AxisData, MachineData
@@ -161,7 +162,7 @@ def save_axis(axis: AxisData, path: str | os.PathLike[str], name: str) -> None:
     True
     """
     machine = MachineData(name=f'axis {name}', axes={name: axis})
-    Path(path).write_text(machine_text(machine), encoding='utf-8')
+    write_text(Path(path), machine_text(machine))
 
 
 def controller(axis: AxisData, name: str = '', **settings: Any) -> AxisController:

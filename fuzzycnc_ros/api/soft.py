@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fuzzycnc_ros.bags.atomic import write_text
 from fuzzycnc_ros.core.arrays import check_matrix
 from fuzzycnc_ros.core.deformation.compensation import (
     LEARNING_GAIN,
@@ -208,7 +209,7 @@ def save_model(model: SoftModel, path: str | os.PathLike[str]) -> None:
     >>> type(again).__name__
     'DeformationModel'
     """
-    Path(path).write_text(write_soft_model(model), encoding='utf-8')
+    write_text(Path(path), write_soft_model(model))
 
 
 def compensate(

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fuzzycnc_ros.bags.atomic import write_text
 from fuzzycnc_ros.bags.runs import read_run as read_bag
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.remedies import options_as
@@ -110,7 +111,7 @@ def save_model(model: ThermalModel, path: str | os.PathLike[str]) -> None:
     OSError
         If the file cannot be written.
     """
-    Path(path).write_text(model.to_json(), encoding='utf-8')
+    write_text(Path(path), model.to_json())
 
 
 _ARGUMENTS = {
