@@ -9,6 +9,7 @@ Another node is believed to have written it only if the recorder saw so, or a pe
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 
 from fuzzycnc_ros.bags.canonical import excluded
 from fuzzycnc_ros.bags.typestore import PACKAGE
@@ -18,7 +19,6 @@ REPLAYABLE = tuple(name for name in COMPONENTS if name not in MACHINES)
 """Components that a replay sets up."""
 
 _CONFIGURATION = 'node_configuration'
-
 
 GIVEN_REMEDY = 'name it as given if another node wrote it'
 """Ends the reasons for which a topic may be one that no replay recomputes."""
@@ -139,8 +139,9 @@ def _is_input(name: str, kind: str) -> bool:
     )
 
 
-def _only_replayable() -> set[str]:
+@cache
+def _only_replayable() -> frozenset[str]:
     """Return the types of this package that nobody but a replayable component publishes."""
     machines = {o.record.TYPE for name in MACHINES for o in COMPONENTS[name].OUTPUTS}
     own = {o.record.TYPE for name in REPLAYABLE for o in COMPONENTS[name].OUTPUTS}
-    return {kind for kind in own - machines if kind.startswith(f'{PACKAGE}/')}
+    return frozenset(kind for kind in own - machines if kind.startswith(f'{PACKAGE}/'))

@@ -181,9 +181,7 @@ def exp(x: Any) -> Any:
         halvings = round(x * _PER_LN2)
         rest = (x - halvings * _LN2_HIGH) - halvings * _LN2_LOW
         return math.ldexp(1.0 + _exp_less_one(rest), halvings)
-    x = np.minimum(np.maximum(x, -746.0), 1000.0)
-    whole = np.rint(x * _PER_LN2)
-    less_one = _exp_less_one((x - whole * _LN2_HIGH) - whole * _LN2_LOW)
+    less_one, whole = _exp_parts(x)
     return _scaled(1.0 + less_one, whole)
 
 
@@ -195,9 +193,7 @@ def expm1(x: Any) -> Any:
     """Return `exp(x) - 1`, of a number or an array, also for a small `x` to its last places."""
     if _is_number(x):
         return float(expm1(np.array([x], float))[0])
-    x = np.minimum(np.maximum(x, -746.0), 1000.0)
-    whole = np.rint(x * _PER_LN2)
-    less_one = _exp_less_one((x - whole * _LN2_HIGH) - whole * _LN2_LOW)
+    less_one, whole = _exp_parts(x)
     return _scaled(less_one, whole) + (_scaled(np.ones_like(less_one), whole) - 1.0)
 
 
@@ -385,6 +381,13 @@ def tanh(x: Array) -> Array:
     return np.where(
         size < 0.625, _tanh_of(np.minimum(np.maximum(x, -1.0), 1.0)), np.copysign(far, x)
     )
+
+
+def _exp_parts(x: Array) -> tuple[Array, Array]:
+    """Return `exp(x) / 2**whole - 1`, and the whole powers of two of each."""
+    x = np.minimum(np.maximum(x, -746.0), 1000.0)
+    whole = np.rint(x * _PER_LN2)
+    return _exp_less_one((x - whole * _LN2_HIGH) - whole * _LN2_LOW), whole
 
 
 def _scaled(part: Array, whole: Array) -> Array:

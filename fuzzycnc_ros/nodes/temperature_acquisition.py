@@ -11,7 +11,6 @@ from sensor_msgs.msg import Temperature
 
 from fuzzycnc_msgs.srv import SetThermalReference
 from fuzzycnc_ros.adapters.readings.open_source import open_source
-from fuzzycnc_ros.adapters.readings.source import Source
 from fuzzycnc_ros.components.thermal.temperature_acquisition import (
     TemperatureAcquisition,
 )
@@ -38,7 +37,6 @@ class TemperatureAcquisitionNode(ComponentNode):
                 'sensor_readings; import a file with `fuzzycnc import-csv` and play the bag'
             )
         self._named: dict[str, Any] = {}
-        self._source = Source()
         self._source = open_source(node, config, self.component.frame('machine'))
         if self._source.makes_time:
             self._ahead_max = 0  # the next row of a file may be hours on

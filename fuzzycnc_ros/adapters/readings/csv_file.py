@@ -94,10 +94,9 @@ def _read(path: Path, time_column: str) -> tuple[list[str], Floats, Floats, str]
     with options_as('`fuzzycnc import-csv --{}`'.format):
         table = read_table(path)
         table.require([time_column])
-    sensors = [name for name in table.header if name != time_column]
-    if not sensors:
-        raise BagError(f'{path}: expected a column for each sensor beside {time_column!r}')
-    with options_as('`fuzzycnc import-csv --{}`'.format):
+        sensors = [name for name in table.header if name != time_column]
+        if not sensors:
+            raise BagError(f'{path}: expected a column for each sensor beside {time_column!r}')
         times = table.time(time_column, 's')
         start = times.date or 0.0 if times.form else float(table.column(time_column)[0])
         values = np.stack([table.column(name) for name in sensors], axis=1)

@@ -151,8 +151,8 @@ def import_csv(
         given(
             'File with these settings: keys time, time_unit, time_format, time_zone, '
             'temperatures, temperature_unit, sensor_limits, displacements, spindle_speed, '
-            'spindle_speed_unit, '
-            'rename, encoding, header, delimiter, decimal, rows, zero, resample, machine, epoch. '
+            'spindle_speed_unit, rename, encoding, header, delimiter, decimal, rows, zero, '
+            'resample, machine, epoch. '
             'Options overrule it.',
             metavar='FILE.yaml',
         ),

@@ -176,7 +176,8 @@ def compare(
         raise ValueError(f'expected bags or --machine {"|".join(MACHINES)} but found neither')
     names = names_of('--models', models, COMPARED)
     windows = [_window(text) for text in hold_out or []]
-    wanted = sensors_but(drop_sensor, [bag.path for bag in find_bags(bags)])
+    there = find_bags(bags)
+    wanted = sensors_but(drop_sensor, [bag.path for bag in there])
     work = partial(
         usable_run,
         interval=interval,
@@ -186,9 +187,9 @@ def compare(
         sensor_limits=sensor_limits or (),
     )
     with progress_bar('reading') as tell:
-        read = with_each(work, find_bags(bags), processes, tell)
+        read = with_each(work, there, processes, tell)
     unread = {item.bag.name for item in read.bad}
-    named = [bag for bag in find_bags(bags) if bag.name not in unread]
+    named = [bag for bag in there if bag.name not in unread]
     alike = without_odd(named, read.results)
     runs = alike.results
     interval = training_interval(runs, interval)

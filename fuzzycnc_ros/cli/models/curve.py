@@ -87,9 +87,10 @@ def curve(
     check_at_least('--seed', seed, 0)
     numbers = _numbers(counts)
     check_folder(report, json_file)
+    there = find_bags(bags)
     with progress_bar('reading') as tell:
         found = runs_of(
-            find_bags(bags),
+            there,
             interval,
             tell,
             skip=skip_bad,
@@ -131,7 +132,7 @@ def curve(
 
         unused = {item.bag.name for item in found.bad}
         facts = {
-            **recording_facts([bag.path for bag in find_bags(bags) if bag.name not in unused]),
+            **recording_facts([bag.path for bag in there if bag.name not in unused]),
             'Runs': ', '.join(run.name for run in runs),
             'Sampling interval': f'{interval:g} s',
             'Seed': str(seed),

@@ -227,11 +227,10 @@ def offset_channels(displacement: Array, begin: int) -> list[tuple[int, float, f
         if not len(first) or len(known) < SAMPLES_MIN:
             continue
         span = float(np.ptp(known))
-        noise = float(np.median(np.abs(np.diff(known, 2)))) / 1.65  # of second differences
         same_side = bool((first > 0.0).all() or (first < 0.0).all())
         least = float(np.abs(first).min())
         if same_side and least > max(
-            OFFSET_SHARE * span, MOTION_TELLING, NOISE_FACTOR * noise / 2
+            OFFSET_SHARE * span, MOTION_TELLING, NOISE_FACTOR * _noise(known) / 2
         ):
             found.append((column, float(first.mean()), span))
     return found
