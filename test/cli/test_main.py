@@ -58,6 +58,16 @@ def test_every_option_says_what_it_is_and_its_default(name):
             assert hidden or item.show_default or 'default' in item.help, where
 
 
+def test_types_of_options_are_no_texts():
+    """Ubuntu 24.04's typer (0.9) drops what stands behind `Annotated` in a text."""
+    for name, later in COMMANDS.items():
+        loaded = later.load()
+        found = loaded.commands.values() if isinstance(loaded, CommandGroup) else [loaded]
+        for function in found:
+            texts = [key for key, of in function.__annotations__.items() if isinstance(of, str)]
+            assert not texts, f'{name}: {function.__module__}: {texts}'
+
+
 def test_manual_keeps_the_lines_of_indented_paragraphs_only():
     text = manual("""Do it.
 

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fuzzycnc foam compensate`: a part program or a list of points, shifted for a soft sheet."""
 
-from __future__ import annotations
-
 import csv
 import io
 import sys
@@ -163,7 +161,7 @@ class Job:
     """Compensates paths, and keeps what is to be said of them."""
 
     def __init__(
-        self, model: SoftModel, material: SheetMaterial, depth: float, step: float
+        self, model: 'SoftModel', material: 'SheetMaterial', depth: float, step: float
     ) -> None:
         self.model, self.material, self.depth, self.step = model, material, depth, step
         self.flags: list[LineFlags] = []
@@ -171,7 +169,7 @@ class Job:
         self.largest = 0.0
         self.elsewhere = ''  # why learnt offsets are not for a figure
 
-    def compensated(self, path: StitchPath, lines: Sequence[int]) -> CompensatedPath:
+    def compensated(self, path: 'StitchPath', lines: Sequence[int]) -> 'CompensatedPath':
         """Compensate a path whose steps are from certain lines."""
         import numpy as np
 
@@ -343,7 +341,7 @@ def _reasons(flag: int) -> tuple[str, ...]:
     return tuple(text for bit, text in words.items() if flag & bit)
 
 
-def _flags_table(flags: Sequence[LineFlags]) -> Table:
+def _flags_table(flags: Sequence[LineFlags]) -> 'Table':
     """Return the lines with refused or limited steps."""
     from fuzzycnc_ros.studies.page.table import Column, Table
 
@@ -360,7 +358,7 @@ def _flags_table(flags: Sequence[LineFlags]) -> Table:
     return Table('Steps that were not compensated, or limited', columns, tuple(rows))
 
 
-def read_model_file(path: Path) -> SoftModel:
+def read_model_file(path: Path) -> 'SoftModel':
     """Return the model of a file, or the offsets of a track.
 
     Raises
