@@ -16,7 +16,7 @@ Notes
 Sources: fdlibm 5.3, Sun Microsystems 1993 (`e_exp.c`, `e_log.c`, `k_sin.c`, `k_cos.c`,
 `e_rem_pio2.c`);
 Cephes 2.8, S. L. Moshier 2000 (`atan.c`, `tanh.c`): polynomials and parts of constants.
-Golub and Van Loan, Matrix Computations, 4th edition: algorithms 3.4.1, 5.2.1 and 8.5.2.
+Golub and Van Loan, Matrix Computations, 4th edition: algorithms 3.4.1 and 8.5.2.
 """
 
 import math
@@ -92,7 +92,6 @@ _ATAN_BELOW = (
 )
 _TANH = (-9.64399179425052238628e-01, -9.92877231001918586564e01, -1.61468768441708447952e03)
 _TANH_BELOW = (
-    1.0,
     1.12811678491632931402e02,
     2.23548839060100448583e03,
     4.84406305325125486048e03,
@@ -153,9 +152,21 @@ def _atan_of(x: Any) -> Any:
     return x + x * (square * _polynomial(_ATAN, square) / _polynomial(_ATAN_BELOW, square))
 
 
-def _tanh_of(x: Any) -> Any:
+def _tanh_of(x: Array) -> Array:
+    # In place, since networks call it for a few numbers at each sample.
     square = x * x
-    return x + x * (square * _polynomial(_TANH, square) / _polynomial(_TANH_BELOW, square))
+    found = square * _TANH[0]
+    for coefficient in _TANH[1:]:
+        found += coefficient
+        found *= square
+    below = square + _TANH_BELOW[0]
+    for coefficient in _TANH_BELOW[1:]:
+        below *= square
+        below += coefficient
+    found /= below
+    found *= x
+    found += x
+    return found
 
 
 def _is_number(x: object) -> bool:
@@ -375,8 +386,8 @@ def arccos(x: Array) -> Array:
 def tanh(x: Array) -> Array:
     """Return hyperbolic tangents, to 2 units in the last place."""
     size = np.abs(x)
-    if (size < 0.625).all():
-        return np.asarray(_tanh_of(x))
+    if size.max(initial=0.0) < 0.625:
+        return _tanh_of(x)
     far = 1.0 - 2.0 / (exp(2.0 * np.minimum(size, 20.0)) + 1.0)
     return np.where(
         size < 0.625, _tanh_of(np.minimum(np.maximum(x, -1.0), 1.0)), np.copysign(far, x)
@@ -440,33 +451,21 @@ def solve(matrix: Array, right: Array) -> Array:
     ).reshape(-1, size, size + right.shape[-1])
     every = np.arange(len(rows))
     for column in range(size):
-        pivot = column + np.abs(rows[:, column:, column]).argmax(axis=-1)
-        rows[every, pivot], rows[:, column] = rows[:, column].copy(), rows[every, pivot]
-        if not rows[:, column, column].all():
+        pivot = np.abs(rows[:, column:, column]).argmax(axis=-1)
+        if pivot.any():
+            pivot += column
+            rows[every, pivot], rows[:, column] = rows[:, column].copy(), rows[every, pivot]
+        own = rows[:, column, column, np.newaxis, np.newaxis]
+        if not own.all():
             raise np.linalg.LinAlgError('Singular matrix')
-        below = rows[:, column + 1 :, [column]] / rows[:, [column], column, np.newaxis]
-        rows[:, column + 1 :, column:] -= below * rows[:, column, np.newaxis, column:]
+        rest = slice(column + 1, None)
+        share = rows[:, rest, column, np.newaxis] / own
+        rows[:, rest, rest] -= share * rows[:, column, np.newaxis, rest]
     found = rows[:, :, size:]
     for row in reversed(range(size)):
         known = np.einsum('bi,bij->bj', rows[:, row, row + 1 : size], found[:, row + 1 :])
-        found[:, row] = (found[:, row] - known) / rows[:, row, [row]]
+        found[:, row] = (found[:, row] - known) / rows[:, row, row, np.newaxis]
     return found.reshape(*shape, size, -1)
-
-
-def triangle(matrix: Array) -> Array:
-    """Return the upper triangle R, shape (q, q), of the QR decomposition of a matrix (p, q).
-
-    By Householder reflections; it has the products of columns of the matrix.
-    """
-    rest = np.array(matrix, dtype=float)
-    for column in range(min(rest.shape)):
-        mirror = rest[column:, column].copy()
-        mirror[0] += np.copysign(norm(mirror), mirror[0])
-        square = matmul(mirror, mirror)
-        if square > 0.0:
-            share = (2.0 / square) * matmul(mirror, rest[column:, column:])
-            rest[column:, column:] -= mirror[:, np.newaxis] * share
-    return np.triu(rest[: rest.shape[1]])
 
 
 def eigh(matrix: Array) -> tuple[Array, Array]:

@@ -150,9 +150,9 @@ class FuzzyCMeans(FuzzyPartition):
 
     Notes
     -----
-    Only distances enter the equations, so samples with more features than there are samples are
-    first turned, without loss, into as many coordinates as there are samples.  All starts
-    iterate together.
+    Only distances enter the equations, and centres are sums of samples: of samples with more
+    features than there are samples, their products with each other suffice.  All starts iterate
+    together.
 
     Examples
     --------
@@ -192,25 +192,25 @@ class FuzzyCMeans(FuzzyPartition):
             If a parameter is out of range, or there are fewer samples than clusters.
         """
         centred, mean, rng = self._begin(X)
-        points = centred
-        if points.shape[1] > points.shape[0]:
-            points = portable.triangle(points.T).T
-        starts = rng.dirichlet(np.ones(self.n_clusters), (self.n_init, len(points)))
+        starts = rng.dirichlet(np.ones(self.n_clusters), (self.n_init, len(centred)))
         membership, history = _iterate(
-            points, starts.transpose(0, 2, 1), self.m, self.max_iter, self.tol
+            centred, starts.transpose(0, 2, 1), self.m, self.max_iter, self.tol
         )
         weight = _raised(membership, self.m)
         centers = portable.matmul(weight, centred) / weight.sum(axis=1, keepdims=True)
         self._keep(membership, centers + mean, history)
-        self.partition_coefficient_ = float((membership**2).sum() / len(points))
-        self.xie_beni_ = _xie_beni(self.objective_, centers, len(points))
+        self.partition_coefficient_ = float((membership**2).sum() / len(centred))
+        self.xie_beni_ = _xie_beni(self.objective_, centers, len(centred))
         return self
 
     def _squared_distances(self, samples: Array) -> Array:
         # Centred so that samples far from the origin keep their digits.
         mean = self.cluster_centers_.mean(axis=0)
-        return np.asarray(
-            _squared_distance(samples - mean, (self.cluster_centers_ - mean)[np.newaxis])[0]
+        points, centers = samples - mean, self.cluster_centers_ - mean
+        return _squared_distance(
+            np.einsum('np,np->n', points, points),
+            portable.matmul(centers, points.T),
+            np.einsum('cp,cp->c', centers, centers),
         )
 
 
@@ -221,14 +221,23 @@ def _iterate(
 
     Return the best and its history.
     """
+    square = np.einsum('np,np->n', points, points)
+    products = portable.matmul(points, points.T) if len(points) <= points.shape[1] else None
     membership = starts
     active = np.arange(len(starts))
     history: list[list[float]] = [[] for _ in starts]
     final = np.empty_like(starts)
     for _ in range(max_iter):
         weight = _raised(membership, m)
-        centers = portable.matmul(weight, points) / weight.sum(axis=2, keepdims=True)
-        distance = _squared_distance(points, centers)
+        share = weight / weight.sum(axis=2, keepdims=True)
+        if products is None:
+            centers = portable.matmul(share, points)
+            product = portable.matmul(centers, points.T)
+            own = np.einsum('rcp,rcp->rc', centers, centers)
+        else:
+            product = portable.matmul(share, products)
+            own = np.einsum('rcn,rcn->rc', product, share)
+        distance = _squared_distance(square, product, own)
         updated = _memberships_by_distance(distance, m)
         objective = np.einsum('rcn,rcn->r', _raised(updated, m), distance)
         change = np.abs(updated - membership).max(axis=(1, 2))
@@ -245,13 +254,20 @@ def _iterate(
     return final[best], np.array(history[best])
 
 
-def _squared_distance(points: Array, centers: Array) -> Array:
-    """Return the squared distances of points (n, p) to centres (r, c, p), shape (r, c, n)."""
-    square = np.einsum('np,np->n', points, points)
-    distance = portable.matmul(centers, points.T)
-    distance *= -2.0
-    distance += square
-    distance += np.einsum('rcp,rcp->rc', centers, centers)[..., np.newaxis]
+def _squared_distance(square: Array, product: Array, own: Array) -> Array:
+    """Return squared distances of points to centres, shape (..., c, n).
+
+    Parameters
+    ----------
+    square : ndarray, shape (n,)
+        Squared lengths of the points.
+    product : ndarray, shape (..., c, n)
+        Products of centres and points.
+    own : ndarray, shape (..., c)
+        Squared lengths of the centres.
+    """
+    distance = square - 2.0 * product
+    distance += own[..., np.newaxis]
     # Rounding leaves about 1e-16 of the square; a floor there keeps a sample that sits on a
     # centre from dividing by zero, and lets centres that coincide share it equally.
     floor = np.finfo(np.float64).eps * max(float(square.max(initial=0.0)), 1e-300)

@@ -17,6 +17,7 @@ a false alarm.  A drift of 2 K/h was found after 26 min in the median, after 24 
 know the sensor well, and after 77 min at T67, half of whose heat no other sensor sees.
 """
 
+from collections import defaultdict
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -141,22 +142,24 @@ def _ranked_mates(moment: Array, target: int, usable: Indices) -> Indices:
     return np.asarray(mates[np.argsort(-alike[mates], kind='stable')])
 
 
-def mate_weights(moment: Array, target: int, mates: Indices) -> Array:
-    """Return the weights of mates in the ridge estimate of a target's rise, shape (k,) [-].
+def mate_weights(moment: Array, target: int | Indices, mates: Indices) -> Array:
+    """Return the weights of mates in the ridge estimate of a target's rise, shape (..., k) [-].
 
     Parameters
     ----------
     moment : ndarray, shape (s, s)
         Mean products of the rises in training [K^2].
-    target : int
+    target : int or ndarray of int, shape (...)
         Sensor to estimate.
-    mates : ndarray of int, shape (k,)
+    mates : ndarray of int, shape (..., k)
         Sensors to estimate it from.
     """
-    scale = _scale_of(moment)[mates]
-    alike = moment[np.ix_(mates, mates)] / np.outer(scale, scale)
-    own = moment[target, mates] / scale
-    return np.asarray(portable.solve(alike + MATE_RIDGE * np.eye(len(mates)), own) / scale)
+    one, other = mates[..., :, np.newaxis], mates[..., np.newaxis, :]
+    scale = _scale_of(moment)
+    alike = moment[one, other] / (scale[one] * scale[other])
+    own = moment[np.asarray(target)[..., np.newaxis, np.newaxis], one] / scale[one]
+    weights = portable.solve(alike + MATE_RIDGE * np.eye(mates.shape[-1]), own) / scale[one]
+    return np.asarray(weights[..., 0])
 
 
 def unexplained(moment: Array, target: int, mates: Indices, weights: Array) -> float:
@@ -188,6 +191,8 @@ def voter_weights(moment: Array, targets: Indices, usable: Indices) -> Array:
         Weights [-]; all NaN for a target with fewer usable mates than voters.
     """
     weights = np.zeros((VOTERS, len(targets), len(moment)))
+    # Groups of one size are solved together.
+    alike: dict[int, list[tuple[int, int, Indices]]] = defaultdict(list)
     for row, target in enumerate(targets):
         mates = _ranked_mates(moment, int(target), usable)
         if len(mates) < VOTERS:
@@ -195,7 +200,12 @@ def voter_weights(moment: Array, targets: Indices, usable: Indices) -> Array:
             continue
         for voter in range(VOTERS):
             group = mates[voter::VOTERS]
-            weights[voter, row, group] = mate_weights(moment, int(target), group)
+            alike[len(group)].append((voter, row, group))
+    for found in alike.values():
+        groups = np.array([group for _, _, group in found])
+        of = mate_weights(moment, targets[[row for _, row, _ in found]], groups)
+        for (voter, row, group), weight in zip(found, of, strict=True):
+            weights[voter, row, group] = weight
     return weights
 
 
