@@ -30,6 +30,7 @@ from fuzzycnc_ros.cli.models.many_bags import (
 from fuzzycnc_ros.cli.models.recorded_runs import gap_lines, offset_lines
 from fuzzycnc_ros.cli.options import (
     End,
+    OptionalPath,
     OptionalText,
     Report,
     SensorLimits,
@@ -64,8 +65,8 @@ class Judged(NamedTuple):
 def evaluate(
     bags: ManyBags,
     model: Annotated[
-        Path, typer.Option(metavar='MODEL', help='Model file made by `fuzzycnc train`.')
-    ],
+        OptionalPath, given('Model file made by `fuzzycnc train`.', metavar='MODEL')
+    ] = None,
     sensor_limits: SensorLimits = None,
     start: Start = None,
     end: End = None,
@@ -76,6 +77,20 @@ def evaluate(
             metavar='TIME',
         ),
     ] = None,
+    from_nothing: Annotated[
+        bool,
+        typer.Option(
+            '--from-nothing', help='Without a model: learn from the probes of --probe-every alone.'
+        ),
+    ] = False,
+    carry: Annotated[
+        bool,
+        typer.Option('--carry', help='With --from-nothing: keep what was learnt from bag to bag.'),
+    ] = False,
+    probe_noise: Annotated[
+        str,
+        typer.Option(metavar='LENGTH', help='With --from-nothing: standard deviation of a probe.'),
+    ] = '0.5um',
     jobs: Jobs = None,
     report: Report = None,
     json_file: JsonFile = None,
@@ -100,6 +115,10 @@ def evaluate(
     With --probe-every a second table shows what is left if the machine is probed that often, as
     `thermal_predictor` would use the probes, beside the last probe held without any model.
 
+    With --from-nothing there is no model: the weights of lagged temperatures and speeds are learnt
+    from the probes alone, each with the band of what is known so far. With --carry the bags are
+    the runs of one machine in their order, and each begins with what those before have taught.
+
     Of several bags there is one table, with their median and the worst of them, and one of all
     candidates. A bag that cannot be judged is named and left out; the command then ends with 1.
     The figures do not depend on --jobs.
@@ -108,7 +127,9 @@ def evaluate(
         fuzzycnc evaluate recordings 'archive/2026-*' --model mill.json --json figures.json
         fuzzycnc evaluate spindle --model spindle.json --start 86865
         fuzzycnc evaluate spindle --model spindle.json --probe-every 60min --report spindle.html
+        fuzzycnc evaluate monday tuesday wednesday --from-nothing --carry --probe-every 60min
     """
+    from fuzzycnc_ros.cli.models.evaluate_learning import evaluate_from_nothing
     from fuzzycnc_ros.cli.models.train import default_text, problem_lines
     from fuzzycnc_ros.core.thermal.fit.evaluation import false_bands
     from fuzzycnc_ros.core.thermal.model import load_model
@@ -119,6 +140,29 @@ def evaluate(
     if probe_every is not None:
         every = quantity('--probe-every', probe_every, DURATIONS, example='60min')
     check_folder(report, json_file)
+    if from_nothing:
+        if model is not None or every is None:
+            raise ValueError(
+                '--from-nothing: expected --probe-every and no --model, since all is learnt from '
+                f'probes, but found {"a model" if model is not None else "no --probe-every"}'
+            )
+        evaluate_from_nothing(
+            bags,
+            every,
+            carry=carry,
+            probe_noise=probe_noise,
+            start=start,
+            end=end,
+            sensor_limits=sensor_limits or (),
+            report=report,
+            json_file=json_file,
+        )
+        return
+    if carry or model is None:
+        raise ValueError(
+            f'{"--carry" if carry else "--model"}: expected --model with a model to judge, or '
+            '--from-nothing to learn from probes alone, with --carry from bag to bag'
+        )
     trained = load_model(model)
     document = model.read_text(encoding='utf-8')
     work = partial(

@@ -11,6 +11,7 @@ import pytest
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.core.thermal.fit import evaluate
 from fuzzycnc_ros.core.thermal.model import load_model
+from fuzzycnc_ros.studies.thermal.learnt import learn_runs
 from fuzzycnc_ros.studies.thermal.probed import evaluate_probed
 
 
@@ -74,3 +75,47 @@ def test_several_bags_have_one_table_and_a_short_one_is_named(fuzzycnc, bag, mod
 )
 def test_time_that_cannot_be_meant_is_refused(refused, bag, model, text, naming):
     refused('evaluate', bag(), '--model', model, '--probe-every', text, naming=naming)
+
+
+def test_from_nothing_all_is_learnt_from_probes(fuzzycnc, bag):
+    bags = (bag('a', rows=100), bag('b', rows=100), bag('damaged'))
+    (Path(bags[2]) / 'damaged_0.mcap').write_bytes(b'')
+    outcome = fuzzycnc(
+        'evaluate', *bags, '--from-nothing', '--carry', '--probe-every', '20min',
+        '--probe-noise', '0.3um', '--json', 'e.json', '--report', 'e.html',
+    )  # fmt: skip
+    assert outcome.code == 1, outcome
+    assert 'left out damaged' in outcome.out
+    figures = json.loads(Path('e.json').read_text())
+    assert list(figures['left_out']) == ['damaged']
+    runs = [read_run(place) for place in bags[:2]]
+    expected = list(learn_runs(runs, 1200.0, noise=0.3e-6))
+    for item in expected:
+        channel = figures['runs'][item.run]['dz']
+        assert channel['probes'] == item.probes[0] == 4
+        for name, rms in item.rms.items():
+            assert channel['residual'][name]['rms_um'] == pytest.approx(1e6 * rms[0])
+    page = Path('e.html').read_text()
+    for text in (outcome.out, page):
+        assert 'Learnt from nothing, probed every 20 min' in text
+    apart = fuzzycnc('evaluate', *bags[:2], '--from-nothing', '--probe-every', '20min')
+    assert apart.code == 0, apart
+    assert apart.out != outcome.out
+
+
+@pytest.mark.parametrize(
+    ('words', 'naming'),
+    [
+        ([], ['--model', '--from-nothing']),
+        (['--carry', '--model', 'm.json'], ['--carry', '--from-nothing']),
+        (['--from-nothing'], ['--from-nothing', '--probe-every']),
+        (['--from-nothing', '--probe-every', '1h', '--model', 'm.json'], ['no --model']),
+        (
+            ['--from-nothing', '--probe-every', '1h', '--probe-noise', '0um'],
+            ['--probe-noise', 'above 0'],
+        ),
+        (['--from-nothing', '--probe-every', '1s'], ['at least 60 s between two probes']),
+    ],
+)
+def test_what_does_not_go_together_is_refused(refused, bag, words, naming):
+    refused('evaluate', bag('a', rows=100), *words, naming=naming)

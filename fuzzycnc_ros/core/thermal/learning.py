@@ -1,0 +1,588 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bayesian linear regression of a thermal error, learnt from probes by a Kalman filter.
+
+In run k, y(t) = phi(t)' w_k + d(t) + noise, with w_k = rho w_(k-1) + sqrt(1 - rho^2) N(0, S).
+Features phi are the rises of the sensors and their first-order lags, and lags of the spindle speed
+and of its square.  The weights are those of one machine, and differ a little from run to run; d
+is a slow drift (Ornstein-Uhlenbeck process) that begins anew in each run.  Nothing has to be known
+beforehand: S, the drift and rho follow from the probes by marginal likelihood.
+
+References
+----------
+[kalman1960], [rasmussen2006]
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuzzycnc_ros.core import portable
+from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.thermal.band import WIDTH
+from fuzzycnc_ros.core.thermal.probing import GATE, Verdict
+from fuzzycnc_ros.core.thermal.recursions.base import first_order_lags
+
+RISE_LAGS = (600.0, 1800.0, 5400.0)
+"""Lags of the rises [s]; with those of the speed the likeliest of six sets on the simulated mill
+and grinder."""
+
+SPINDLE_LAGS = (300.0, 900.0, 2700.0, 7200.0)
+"""Lags of the spindle speed and of its square [s]."""
+
+RISE_UNIT, SPEED_UNIT = 10.0, 200.0
+"""Rise [K] and least largest speed [rad/s] of which a scale is the error."""
+
+DRIFT_TIME = 9000.0
+"""Correlation time of the drift [s]; probes tell it no better."""
+
+FEATURES_MAX = 350
+"""Most features: the covariance of a channel then has a megabyte."""
+
+WINDOW = 64
+"""Probes from which the scales are learnt; those before them are kept as mean and covariance."""
+
+TRUST = 8
+"""How many probes the predicted variance is worth beside the squares that probes missed by [-]."""
+
+TUNED = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
+"""Probes in the window after which the scales are learnt anew; so they are where it is full."""
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Features of a thermal error, from rises and the spindle speed.
+
+    Parameters
+    ----------
+    sensors : int
+        Number s of sensors.
+    speed : bool
+        Whether the spindle speed is read.
+    interval : float
+        Sampling interval [s].
+
+    Raises
+    ------
+    ValueError
+        If there is no sensor, or there are more than the covariance has room for.
+    """
+
+    sensors: int
+    speed: bool
+    interval: float
+
+    def __post_init__(self) -> None:
+        """Refuse what gives no features, or too many."""
+        if not 1 <= self.sensors <= (FEATURES_MAX - 2 * len(SPINDLE_LAGS)) // (1 + len(RISE_LAGS)):
+            most = (FEATURES_MAX - 2 * len(SPINDLE_LAGS)) // (1 + len(RISE_LAGS))
+            raise ValueError(
+                f'sensors: expected 1 to {most} to learn from, but found {self.sensors}; choose '
+                'those that stand for the others'
+            )
+
+    @property
+    def of_rises(self) -> int:
+        """Number of features that are rises or their lags; those of the speed follow them."""
+        return (1 + len(RISE_LAGS)) * self.sensors
+
+    @property
+    def features(self) -> int:
+        """Number p of features."""
+        return self.of_rises + 2 * len(SPINDLE_LAGS) * self.speed
+
+    def initial_state(self) -> Array:
+        """Return the state at the thermal reference, shape (p - s,)."""
+        return np.zeros(self.features - self.sensors)
+
+    def step(self, rise: Array, speed: float, state: Array) -> tuple[Array, Array]:
+        """Return the features (p,) of a sample and the next state (p - s,).
+
+        Parameters
+        ----------
+        rise : ndarray, shape (s,)
+            Rises of the sensors [K].
+        speed : float
+            Spindle speed [rad/s].
+        state : ndarray, shape (p - s,)
+            State after the sample before.
+        """
+        state = state + self._share * (self._drive(rise, np.asarray(speed)) - state)
+        return np.concatenate((rise, state)), state
+
+    def run(self, rise: Array, speed: Array) -> Array:
+        """Return the features (n, p) of a run from its thermal reference.
+
+        Parameters
+        ----------
+        rise : ndarray, shape (n, s)
+            Rises of the sensors [K].
+        speed : ndarray, shape (n,)
+            Spindle speed [rad/s].
+        """
+        drive = self._share * self._drive(rise, speed)
+        return np.hstack([rise, first_order_lags(1.0 - self._share, drive)])
+
+    @cached_property
+    def _share(self) -> Array:
+        lags = np.repeat(RISE_LAGS, self.sensors)
+        if self.speed:
+            lags = np.concatenate([lags, np.tile(SPINDLE_LAGS, 2)])
+        return 1.0 - portable.exp(-self.interval / lags)
+
+    def _drive(self, rise: Array, speed: Array) -> Array:
+        drives = [rise] * len(RISE_LAGS)
+        if self.speed:
+            size = np.abs(speed)[..., np.newaxis]
+            drives += [size] * len(SPINDLE_LAGS) + [size * size] * len(SPINDLE_LAGS)
+        return np.concatenate(drives, axis=-1)
+
+
+class Scales(NamedTuple):
+    """How large the parts of an error are expected to be.
+
+    Parameters
+    ----------
+    rise : float
+        Standard deviation of the error where all sensors have risen by 10 K [m].
+    speed : float
+        The same at the largest speed so far, but 200 rad/s at least [m].
+    drift : float
+        Standard deviation of the drift [m].
+    change : float
+        Change of the weights from one run to the next, as a share of their own scale [-].
+    """
+
+    rise: float = 30e-6
+    speed: float = 20e-6
+    drift: float = 1.5e-6
+    change: float = 0.25
+
+    @property
+    def kept(self) -> float:
+        """Correlation rho of the weights of a run with those of the run before [-]."""
+        return float(1.0 / np.sqrt(1.0 + self.change * self.change))
+
+
+EXPECTED = Scales()
+"""Medians of the log-normal priors of the scales."""
+
+BREADTH = Scales(1.2, 1.2, 0.8, 0.8)
+"""Standard deviations of their logarithms [-]; the likelier of two sets on the simulated mill and
+grinder."""
+
+
+class Probe(NamedTuple):
+    """A measured error and what the machine felt then.
+
+    Parameters
+    ----------
+    run : int
+        Number of the run.
+    time : float
+        Time in it [s].
+    features : ndarray, shape (p,)
+        Features, see `Basis`.
+    error : float
+        Measured error [m].
+    noise : float
+        Standard deviation of the measurement [m].
+    """
+
+    run: int
+    time: float
+    features: Array
+    error: float
+    noise: float
+
+
+class Posterior:
+    """Weights and drift of one channel with their covariance.
+
+    Parameters
+    ----------
+    basis : Basis
+        The features.
+    scales : Scales
+        Scales to begin with.
+
+    Notes
+    -----
+    A probe is a Kalman update, O(p^2).  One that is improbable is doubted: it moves the expected
+    error to the border of the band and no further.  If the next one is improbable without it and
+    probable with it, both are learnt whole, else it is as if it had never been.  `tune` learns
+    the scales anew from the last probes, and the weights with them.  Everything is computed in a
+    fixed order with `portable`, so that a replay has the same digits on every processor.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fuzzycnc_ros.core.thermal.learning import Basis, Posterior
+    >>> known = Posterior(Basis(1, False, 60.0))
+    >>> warm = np.full(4, 10.0)
+    >>> print('{:.0f} +- {:.0f} um'.format(*(1e6 * value for value in known.predict(warm))))
+    0 +- 30 um
+    >>> verdict = known.update(warm, 22e-6, 0.5e-6)
+    >>> print('{:.0f} +- {:.1f} um'.format(*(1e6 * value for value in known.predict(warm))))
+    22 +- 0.5 um
+    """
+
+    def __init__(self, basis: Basis, scales: Scales = EXPECTED) -> None:
+        self.scales = scales
+        self._basis = basis
+        self._run, self._time, self._fastest = 0, 0.0, SPEED_UNIT
+        self._base: tuple[int, Array, Array] | None = None
+        self._probes: list[Probe] = []
+        self._doubted: Probe | None = None
+        self._square, self._squares = float(TRUST), TRUST
+        self._mean: Array = np.zeros(basis.features + 1)
+        self._covariance: Array = np.diag(np.append(self._prior(scales), scales.drift**2))
+
+    @property
+    def due(self) -> bool:
+        """Whether the scales are to be learnt anew after the last probe."""
+        return len(self._probes) in TUNED or len(self._probes) > WINDOW
+
+    def begin_run(self) -> None:
+        """Begin a run at its thermal reference: the weights change a little, the drift anew."""
+        self._run, self._time = self._run + 1, 0.0
+        self._carry()
+
+    def elapse(self, time: float) -> None:
+        """Let `time` [s] pass, in which the drift forgets."""
+        self._time += time
+        kept = portable.exp(-time / DRIFT_TIME)
+        self._mean[-1] *= kept
+        self._covariance[-1] *= kept
+        self._covariance[:, -1] *= kept
+        self._covariance[-1, -1] += (1.0 - kept * kept) * self.scales.drift**2
+
+    def predict(self, features: Array) -> tuple[float, float]:
+        """Return the expected error and its standard deviation [m].
+
+        Parameters
+        ----------
+        features : ndarray, shape (p,)
+            Features of the sample.
+        """
+        row = np.append(features, 1.0)
+        variance = portable.matmul(portable.matmul(self._covariance, row), row)
+        variance *= self._square / self._squares
+        return float(portable.matmul(row, self._mean)), float(np.sqrt(max(variance, 0.0)))
+
+    def update(self, features: Array, error: float, noise: float) -> Verdict:
+        """Learn from a probe.
+
+        Parameters
+        ----------
+        features : ndarray, shape (p,)
+            Features of the sample at which was probed.
+        error : float
+            Measured error [m].
+        noise : float
+            Standard deviation of the measurement [m].
+
+        Returns
+        -------
+        Verdict
+            Whether it is believed.
+        """
+        probe = Probe(self._run, self._time, features, error, noise)
+        self._fastest = max(self._fastest, self._speed_of(features))
+        doubted, self._doubted = self._doubted, None
+        if doubted is not None:
+            self._probes.pop()
+            self._rebuild()
+        if self._probable(probe):
+            self._believe(probe)
+            return Verdict.ACCEPTED
+        if doubted is not None:
+            before = self._square, self._squares
+            self._believe(doubted)
+            if self._probable(probe) or self._probable_on_other_scales(probe):
+                self._believe(probe)
+                return Verdict.ACCEPTED
+            self._square, self._squares = before
+            self._probes.pop()
+            self._rebuild()
+        elif self._probable_on_other_scales(probe):
+            self._believe(probe)
+            return Verdict.ACCEPTED
+        self._doubted = probe
+        expected, deviation = self.predict(features)
+        excess = abs(error - expected) / (WIDTH * deviation) - 1.0
+        variance = deviation**2 * self._squares / self._square  # as the filter has it
+        self._take(probe._replace(noise=float(np.sqrt(excess * variance))))
+        return Verdict.REJECTED
+
+    def tune(self) -> None:
+        """Learn the scales from the last probes by marginal likelihood, then the weights anew.
+
+        The search goes along each scale's logarithm in turn, from where it stands.
+        """
+        if not self._probes:
+            return
+        if len(self._probes) > WINDOW:
+            self._condense()
+        self.scales = self._likeliest(self._probes)
+        self._rebuild()
+
+    def _likeliest(self, probes: list[Probe]) -> Scales:
+        """Return the likeliest scales of some probes, searched from those in force."""
+        evidence = _Evidence(probes, self._base, self._basis.of_rises, self._units())
+        found = self.scales
+        best = evidence.surprise(found)
+        for step in (0.4, 0.2):
+            for number in range(len(found)):
+                for factor in (portable.exp(step), portable.exp(-step)):
+                    while True:
+                        tried = list(found)
+                        tried[number] *= factor
+                        surprise = evidence.surprise(Scales(*tried))
+                        if not surprise < best - 1e-6:
+                            break
+                        best, found = surprise, Scales(*tried)
+        return found
+
+    def _probable_on_other_scales(self, probe: Probe) -> bool:
+        """Return whether scales that this probe speaks for as well make it probable.
+
+        Of a machine that moves more than most the first probes are improbable, and true.  If so
+        these scales are in force, else those from before.
+        """
+        before = self.scales
+        self.scales = self._likeliest([*self._probes, probe])
+        self._rebuild()
+        if self._probable(probe):
+            return True
+        self.scales = before
+        self._rebuild()
+        return False
+
+    def _probable(self, probe: Probe) -> bool:
+        expected, deviation = self.predict(probe.features)
+        return abs(probe.error - expected) <= GATE * float(np.hypot(deviation, probe.noise))
+
+    def _believe(self, probe: Probe) -> None:
+        """Learn from a probe, and let the band follow how far it was off.
+
+        Scales that fit the last probes promise more than the next one keeps.
+        """
+        expected, deviation = self.predict(probe.features)
+        square = (probe.error - expected) ** 2 / (deviation**2 + probe.noise**2)
+        self._square += min(square, GATE**2) * self._square / self._squares
+        self._squares += 1
+        self._take(probe)
+
+    def _take(self, probe: Probe) -> None:
+        self._probes.append(probe)
+        self._learn(probe)
+
+    def _learn(self, probe: Probe) -> None:
+        """Update mean and covariance."""
+        row = np.append(probe.features, 1.0)
+        gain = portable.matmul(self._covariance, row)
+        variance = portable.matmul(gain, row) + probe.noise * probe.noise
+        surprise = probe.error - portable.matmul(row, self._mean)
+        self._mean += gain * (surprise / variance)
+        self._covariance -= gain[:, np.newaxis] * gain / variance
+
+    def _carry(self) -> None:
+        """Go to the next run."""
+        kept = self.scales.kept
+        self._mean *= kept
+        self._mean[-1] = 0.0
+        self._covariance *= kept * kept
+        self._covariance[-1] = self._covariance[:, -1] = 0.0
+        at = np.arange(self._basis.features)
+        self._covariance[at, at] += (1.0 - kept * kept) * self._prior(self.scales)
+        self._covariance[-1, -1] = self.scales.drift**2
+
+    def _rebuild(self) -> None:
+        """Learn all probes of the window anew with the scales in force."""
+        run, time = self._run, self._time
+        self._run, self._mean, self._covariance = self._begun()
+        for probe in self._probes:
+            self._reach(probe.run, probe.time)
+            self._learn(probe)
+        self._reach(run, time)
+
+    def _begun(self) -> tuple[int, Array, Array]:
+        """Return number, mean and covariance of the run in which the window begins."""
+        size = self._basis.features
+        first = self._probes[0].run if self._probes else self._run
+        run, mean, covariance = self._base or (first, np.zeros(size), None)
+        whole = np.zeros((size + 1, size + 1))
+        whole[:-1, :-1] = np.diag(self._prior(self.scales)) if covariance is None else covariance
+        whole[-1, -1] = self.scales.drift**2
+        self._time = 0.0
+        return run, np.append(mean, 0.0), whole
+
+    def _reach(self, run: int, time: float) -> None:
+        while self._run < run:
+            self.begin_run()
+        self.elapse(time - self._time)
+
+    def _condense(self) -> None:
+        """Keep the older half of the window, up to the end of a run, as mean and covariance."""
+        runs = np.array([probe.run for probe in self._probes])
+        end = int(np.searchsorted(runs, runs[len(runs) // 2]))
+        if not end:  # all of one run: its first probes are given up
+            self._probes = self._probes[-WINDOW:]
+            return
+        run, time, later = self._run, self._time, self._probes[end:]
+        self._probes, self._run, self._time = self._probes[:end], later[0].run, 0.0
+        self._rebuild()
+        self._base = (self._run, self._mean[:-1].copy(), self._covariance[:-1, :-1].copy())
+        self._probes, self._run, self._time = later, run, time
+
+    def _prior(self, scales: Scales) -> Array:
+        """Return the variance of each weight (p,) before anything is known."""
+        rises = self._basis.of_rises
+        part = np.full(self._basis.features, scales.rise)
+        part[rises:] = scales.speed
+        return (part * self._units()) ** 2
+
+    def _units(self) -> Array:
+        """Return the weights (p,) by which all features together are one scale, see `Scales`."""
+        size, rises = self._basis.features, self._basis.of_rises
+        units = np.full(size, 1.0 / (RISE_UNIT * np.sqrt(rises)))
+        if size > rises:
+            fastest = np.repeat([self._fastest, self._fastest**2], len(SPINDLE_LAGS))
+            units[rises:] = 1.0 / (fastest * np.sqrt(size - rises))
+        return units
+
+    def _speed_of(self, features: Array) -> float:
+        """Return the largest lagged speed among the features [rad/s]."""
+        rises = self._basis.of_rises
+        return float(np.max(features[rises : rises + len(SPINDLE_LAGS)], initial=0.0))
+
+
+class _Evidence:
+    """Products of the features of probes, for the likelihood of scales.
+
+    Parameters
+    ----------
+    probes : list of Probe
+        Probes in their order.
+    base : tuple of int, ndarray, ndarray, or None
+        Run, mean (p,) and covariance (p, p) of the weights that earlier probes left.
+    of_rises : int
+        Number of features that are rises or their lags.
+    units : ndarray, shape (p,)
+        Factors that a scale is multiplied by for each weight.
+    """
+
+    def __init__(
+        self,
+        probes: list[Probe],
+        base: tuple[int, Array, Array] | None,
+        of_rises: int,
+        units: Array,
+    ) -> None:
+        features = np.array([probe.features for probe in probes])
+        run = np.array([probe.run for probe in probes])
+        time = np.array([probe.time for probe in probes])
+        self._error = np.array([probe.error for probe in probes])
+        self._noise = np.diag(np.array([probe.noise for probe in probes]) ** 2)
+        scaled = features * units
+        rises, speeds = scaled[:, :of_rises], scaled[:, of_rises:]
+        self._of_rises = portable.matmul(rises, rises.T)
+        self._of_speeds = portable.matmul(speeds, speeds.T)
+        apart = np.abs(run[:, np.newaxis] - run)
+        self._drift = (apart == 0) * portable.exp(-np.abs(time[:, np.newaxis] - time) / DRIFT_TIME)
+        first = run[0] if base is None else base[0]
+        self._apart, self._since = apart, run - first
+        self._known, self._of_base = np.zeros(len(run)), None
+        if base is not None:
+            self._known = portable.matmul(features, base[1])
+            self._of_base = portable.matmul(portable.matmul(features, base[2]), features.T)
+
+    def surprise(self, scales: Scales) -> float:
+        """Return the negative logarithm of likelihood times prior, up to a constant."""
+        rho = portable.whole_powers(scales.kept, int(self._apart.max() + self._since.max()))
+        weights = scales.rise**2 * self._of_rises + scales.speed**2 * self._of_speeds
+        error = self._error - rho[self._since] * self._known
+        if self._of_base is not None:
+            old = rho[np.minimum(self._since[:, np.newaxis], self._since)] ** 2
+            weights = old * self._of_base + (1.0 - old) * weights
+        covariance = rho[self._apart] * weights + scales.drift**2 * self._drift + self._noise
+        total = 0.0
+        for value, median, breadth in zip(scales, EXPECTED, BREADTH, strict=True):
+            total += (portable.log(value / median) / breadth) ** 2
+        return 0.5 * (total + _improbability(covariance, error))
+
+
+def _improbability(covariance: Array, error: Array) -> float:
+    """Return minus twice the logarithm of a normal density, up to a constant."""
+    rows = np.column_stack([covariance, error])
+    for row in range(len(rows) - 1):
+        share = rows[row + 1 :, row, np.newaxis] / rows[row, row]
+        rows[row + 1 :, row + 1 :] -= share * rows[row, row + 1 :]
+    pivot = rows.diagonal()
+    return float(np.sum(portable.log(pivot)) + np.sum(rows[:, -1] ** 2 / pivot))
+
+
+class Learner:
+    """Posteriors of all channels of a machine, along its runs.
+
+    Parameters
+    ----------
+    basis : Basis
+        The features.
+    channels : int
+        Number c of channels.
+    """
+
+    def __init__(self, basis: Basis, channels: int) -> None:
+        self.basis = basis
+        self.posteriors = tuple(Posterior(basis) for _ in range(channels))
+        self._state = basis.initial_state()
+        self._features = np.zeros(basis.features)
+
+    def begin_run(self) -> None:
+        """Begin another run at its thermal reference."""
+        self._state = self.basis.initial_state()
+        for posterior in self.posteriors:
+            posterior.begin_run()
+            posterior.tune()
+
+    def step(self, rise: Array, speed: float) -> tuple[Array, Array]:
+        """Return the expected errors of a sample and their standard deviations, (c,) [m].
+
+        Parameters
+        ----------
+        rise : ndarray, shape (s,)
+            Rises of the sensors [K].
+        speed : float
+            Spindle speed [rad/s].
+        """
+        self._features, self._state = self.basis.step(rise, speed, self._state)
+        found = np.empty((2, len(self.posteriors)))
+        for channel, posterior in enumerate(self.posteriors):
+            posterior.elapse(self.basis.interval)
+            found[:, channel] = posterior.predict(self._features)
+        return found[0], found[1]
+
+    def probe(self, error: Array, noise: Array) -> NDArray[np.int64]:
+        """Learn from a probe of the last sample, and return the verdicts (c,).
+
+        Parameters
+        ----------
+        error : ndarray, shape (c,)
+            Measured errors [m]; NaN where nothing was measured.
+        noise : ndarray, shape (c,)
+            Standard deviations of the measurement [m].
+        """
+        verdicts = np.full(len(error), int(Verdict.ABSENT), dtype=np.int64)
+        for channel in np.flatnonzero(np.isfinite(error)):
+            posterior = self.posteriors[channel]
+            verdicts[channel] = posterior.update(
+                self._features, float(error[channel]), float(noise[channel])
+            )
+            if verdicts[channel] == Verdict.ACCEPTED and posterior.due:
+                posterior.tune()
+        return verdicts

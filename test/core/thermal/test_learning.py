@@ -1,0 +1,266 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Learning from probes, held to the dense Gaussian process that it is."""
+
+from copy import deepcopy
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import multivariate_normal, norm
+
+from fuzzycnc_ros.core.thermal import learning
+from fuzzycnc_ros.core.thermal.learning import (
+    BREADTH,
+    DRIFT_TIME,
+    EXPECTED,
+    TRUST,
+    WINDOW,
+    Basis,
+    Learner,
+    Posterior,
+    Scales,
+)
+from fuzzycnc_ros.core.thermal.probing import Verdict
+
+BASIS = Basis(2, True, 60.0)
+SCALES = Scales(20e-6, 8e-6, 2e-6, 0.4)
+
+
+def prior(scales=SCALES, fastest=200.0):
+    """Return the variances of the weights, written out anew."""
+    rise = scales.rise / 10.0 / np.sqrt(8)
+    speed = scales.speed / np.sqrt(8)
+    return np.array([rise] * 8 + [speed / fastest] * 4 + [speed / fastest**2] * 4) ** 2
+
+
+def covariance(probes, others, scales=SCALES):
+    """Return the covariances of errors at probes (run, time, features)."""
+    found = np.empty((len(probes), len(others)))
+    rho = 1.0 / np.sqrt(1.0 + scales.change**2)
+    for i, (run, time, features) in enumerate(probes):
+        for j, (other, at, row) in enumerate(others):
+            found[i, j] = rho ** abs(run - other) * (features * prior(scales) * row).sum()
+            if run == other:
+                found[i, j] += scales.drift**2 * np.exp(-abs(time - at) / DRIFT_TIME)
+    return found
+
+
+def machine(seed, runs, probes):
+    """Return run, time, features and error of the probes of a random machine that is like SCALES.
+
+    Three things happen to it, such as a warm spindle, each with features of its own.
+    """
+    random = np.random.default_rng(seed)
+    happening = np.abs(random.normal(size=(3, 16)))
+    happening[:, 8:12] *= 25.0
+    happening[:, 12:] = happening[:, 8:12] ** 2
+    places = [
+        (run, 3600.0 * (number + 1), random.uniform(0.0, 2.0, 3) @ happening)
+        for run in range(runs)
+        for number in range(probes)
+    ]
+    whole = covariance(places, places) + 1e-12 * np.eye(len(places))
+    values = random.multivariate_normal(np.zeros(len(places)), whole)
+    return [(*place, float(error)) for place, error in zip(places, values, strict=True)]
+
+
+def follow(posterior, probes, noise=1e-6):
+    """Let a posterior see probes at their times, and return the verdicts."""
+    verdicts = []
+    for run, time, features, error in probes:
+        reach(posterior, run, time)
+        verdicts.append(posterior.update(features, error, noise))
+    return verdicts
+
+
+def reach(posterior, run, time):
+    while posterior._run < run:
+        posterior.begin_run()
+    posterior.elapse(time - posterior._time)
+
+
+def test_it_is_the_gaussian_process_of_its_scales(monkeypatch):
+    monkeypatch.setattr(learning, 'GATE', 1e9)
+    probes = machine(0, 3, 4)
+    known = Posterior(BASIS, SCALES)
+    follow(known, probes)
+    reach(known, 2, 5.5 * 3600.0)
+    asked = (2, 5.5 * 3600.0, probes[5][2])
+    places = [probe[:3] for probe in probes]
+    errors = np.array([probe[3] for probe in probes])
+    whole = covariance(places, places) + 1e-12 * np.eye(len(places))
+    row = covariance([asked], places)[0]
+    variance = covariance([asked], [asked])[0, 0] - row @ np.linalg.solve(whole, row)
+    expected, deviation = known.predict(asked[2])
+    assert expected == pytest.approx(row @ np.linalg.solve(whole, errors), rel=1e-6)
+    # The band follows the squares that the probes missed by as well.
+    ratio = known._square / known._squares
+    assert deviation == pytest.approx(np.sqrt(ratio * variance), rel=1e-6)
+    assert known._squares == TRUST + len(probes)
+
+
+@pytest.mark.parametrize('based', [False, True])
+def test_likelihood_is_that_of_a_normal_distribution(based):
+    probes = machine(1, 3, 5)
+    known = Posterior(BASIS, SCALES)
+    follow(known, probes)
+    base, taken = None, known._probes
+    if based:  # what the first run left of the weights, at the begin of the second
+        random = np.random.default_rng(2)
+        root = np.sqrt(prior())[:, np.newaxis] * random.normal(size=(16, 16))
+        base, taken = (1, root @ random.normal(size=16), root @ root.T), known._probes[5:]
+    evidence = learning._Evidence(taken, base, BASIS.of_rises, known._units())
+
+    def wanted(scales):
+        places = [(probe.run, probe.time, probe.features) for probe in taken]
+        whole = covariance(places, places, scales)
+        mean = np.zeros(len(places))
+        if base is not None:
+            rho = scales.kept
+            for i, (run, _, features) in enumerate(places):
+                mean[i] = rho ** (run - 1) * features @ base[1]
+                for j, (other, _, row) in enumerate(places):
+                    both = rho ** (run - 1 + other - 1)
+                    whole[i, j] += both * features @ (base[2] - np.diag(prior(scales))) @ row
+        whole += 1e-12 * np.eye(len(places))
+        errors = [probe.error for probe in taken]
+        total = -multivariate_normal.logpdf(errors, mean, whole, allow_singular=True)
+        for value, median, breadth in zip(scales, EXPECTED, BREADTH, strict=True):
+            total -= norm.logpdf(np.log(value / median), 0.0, breadth)
+        return total
+
+    other = Scales(30e-6, 4e-6, 1e-6, 0.2)
+    assert evidence.surprise(SCALES) - evidence.surprise(other) == pytest.approx(
+        wanted(SCALES) - wanted(other), rel=1e-6
+    )
+
+
+def test_scales_are_learnt_and_the_weights_anew_with_them():
+    probes = machine(3, 4, 8)
+    known = Posterior(BASIS)
+    follow(known, probes)
+    evidence = learning._Evidence(known._probes, None, BASIS.of_rises, known._units())
+    before = evidence.surprise(known.scales)
+    known.tune()
+    assert evidence.surprise(known.scales) < before
+    fresh = Posterior(BASIS, known.scales)
+    follow(fresh, probes)
+    np.testing.assert_allclose(known._mean, fresh._mean, rtol=1e-9, atol=1e-18)
+    np.testing.assert_allclose(known._covariance, fresh._covariance, rtol=1e-9, atol=1e-22)
+
+
+def test_a_false_probe_moves_no_further_than_the_band_and_is_forgotten():
+    probes = machine(4, 2, 8)
+    known = Posterior(BASIS, SCALES)
+    follow(known, probes[:-2])
+    spoilt = deepcopy(known)
+    run, time, features, error = probes[-2]
+    reach(spoilt, run, time)
+    expected, deviation = spoilt.predict(features)
+    for false in (error + 60e-6, error + 200e-6, -error - 80e-6, 1e3 * error):
+        judged = deepcopy(spoilt)
+        assert judged.update(features, false, 1e-6) == Verdict.REJECTED
+        moved = abs(judged.predict(features)[0] - expected)
+        assert moved <= 2.0 * deviation * (1.0 + 1e-9)
+        # The next true probe undoes it, to the last digits of the filter.
+        assert follow(judged, probes[-1:]) == [Verdict.ACCEPTED]
+        clean = deepcopy(known)
+        follow(clean, probes[-1:])
+        np.testing.assert_allclose(judged._mean, clean._mean, rtol=1e-6, atol=1e-12)
+
+
+def test_a_jump_is_believed_when_the_next_probe_agrees():
+    probes = machine(5, 2, 8)
+    known = Posterior(BASIS, SCALES)
+    follow(known, probes[:-2])
+    jumped = [(*probe[:3], probe[3] + 50e-6) for probe in probes[-2:]]
+    assert follow(known, jumped) == [Verdict.REJECTED, Verdict.ACCEPTED]
+    assert known.predict(jumped[-1][2])[0] == pytest.approx(jumped[-1][3], abs=2e-6)
+
+
+def test_first_probes_of_a_machine_that_moves_a_lot_are_believed():
+    known = Posterior(BASIS)
+    features = np.array([4.0] * 8 + [0.0] * 8)
+    assert known.update(features, 90e-6, 0.5e-6) == Verdict.ACCEPTED
+    assert known.scales.rise > 1.5 * EXPECTED.rise
+
+
+def test_old_probes_are_condensed_without_being_forgotten():
+    probes = machine(6, 14, 6)
+    known, whole = Posterior(BASIS, SCALES), Posterior(BASIS, SCALES)
+    follow(known, probes)
+    follow(whole, probes)
+    assert len(known._probes) > WINDOW
+    known._condense()
+    assert 0 < len(known._probes) < WINDOW
+    known._rebuild()
+    np.testing.assert_allclose(known._mean, whole._mean, rtol=1e-5, atol=1e-10)
+    np.testing.assert_allclose(known._covariance, whole._covariance, rtol=1e-5, atol=1e-16)
+
+
+def test_a_window_of_one_run_gives_up_its_first_probes():
+    known = Posterior(BASIS, SCALES)
+    follow(known, machine(7, 1, WINDOW + 4))
+    known.tune()
+    assert len(known._probes) == WINDOW
+
+
+@given(st.lists(st.tuples(st.integers(0, 4), st.floats(-1e-3, 1e-3)), max_size=60))
+@settings(max_examples=30, deadline=None)
+def test_covariance_stays_symmetric_and_positive(steps):
+    known, random = Posterior(BASIS), np.random.default_rng(0)
+    for what, value in steps:
+        if what == 0:
+            known.begin_run()
+        elif what == 1:
+            known.tune()
+        elif what == 2:
+            known.elapse(1e7 * abs(value))
+        else:
+            known.update(random.normal(size=16) * 30.0, value, 0.5e-6)
+    whole = known._covariance
+    np.testing.assert_allclose(whole, whole.T, rtol=1e-9, atol=1e-26)
+    # In units in which every weight is about 1.
+    scale = np.sqrt(np.append(known._prior(known.scales), known.scales.drift**2))
+    assert np.linalg.eigvalsh(whole / np.outer(scale, scale)).min() > -1e-9
+    assert all(np.isfinite(known.predict(random.normal(size=16))))
+
+
+def test_features_are_rises_speeds_and_their_lags():
+    random = np.random.default_rng(0)
+    rise, speed = random.normal(size=(30, 2)), 100.0 * random.normal(size=30)
+    whole = BASIS.run(rise, speed)
+    assert whole.shape == (30, BASIS.features)
+    state = BASIS.initial_state()
+    for row in range(30):
+        features, state = BASIS.step(rise[row], float(speed[row]), state)
+        np.testing.assert_allclose(features, whole[row], rtol=1e-12, atol=1e-12)
+    lag = 0.0
+    for value in rise[:, 1]:
+        lag += (1.0 - np.exp(-60.0 / 1800.0)) * (value - lag)
+    assert features[5] == pytest.approx(lag)
+
+
+@pytest.mark.parametrize('sensors', [0, 90])
+def test_no_sensor_or_too_many_are_refused(sensors):
+    with pytest.raises(ValueError, match=f'sensors: expected 1 to 85 .* found {sensors}'):
+        Basis(sensors, True, 60.0)
+
+
+def test_channels_are_learnt_apart_and_what_was_not_probed_stays():
+    learner = Learner(Basis(1, False, 60.0), 2)
+    for _ in range(30):
+        error, before = learner.step(np.array([10.0]), 0.0)
+    verdicts = learner.probe(np.array([30e-6, np.nan]), np.full(2, 0.5e-6))
+    assert verdicts.tolist() == [Verdict.ACCEPTED, Verdict.ABSENT]
+    assert not error.any()
+    error, after = learner.step(np.array([10.0]), 0.0)
+    assert error[0] == pytest.approx(30e-6, rel=0.05)
+    assert after[0] < 0.2 * before[0]
+    assert error[1] == 0.0
+    assert after[1] == pytest.approx(before[1], rel=0.1)
+    learner.begin_run()
+    cold, _ = learner.step(np.array([0.0]), 0.0)
+    assert not cold.any()

@@ -1,0 +1,106 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fuzzycnc_ros.core.thermal.run import ThermalDataError
+from fuzzycnc_ros.simulation.thermal.duties import record_runs
+from fuzzycnc_ros.studies.page.html import render_page
+from fuzzycnc_ros.studies.thermal import learnt
+
+HOUR = 3600.0
+
+
+@pytest.fixture(scope='module')
+def runs():
+    """Return three days of the simulated mill, with twelve of its sensors."""
+    return [few(run) for run in list(record_runs(seed=4).values())[:3]]
+
+
+def few(run):
+    return replace(run, sensor=run.sensor[::7], temperature=run.temperature[:, ::7])
+
+
+@pytest.fixture(scope='module')
+def found(runs):
+    return list(learnt.learn_runs(runs, HOUR))
+
+
+def rms(found, name):
+    return np.array([item.rms[name] for item in found])
+
+
+def test_what_a_machine_is_taught_by_probes_stays_from_run_to_run(found):
+    assert (rms(found, 'learnt')[1:] < 2.5e-6).all()
+    assert (rms(found, 'learnt')[1:] < 0.5 * rms(found, 'held')[1:]).all()
+    assert (rms(found, 'carried')[1:] < 0.3 * rms(found, 'uncompensated')[1:]).all()
+    np.testing.assert_array_equal(rms(found, 'carried')[0], rms(found, 'uncompensated')[0])
+
+
+def test_bands_hold_what_is_left(found):
+    for phase in ('unprobed', 'later'):
+        shares = np.array([item.covered[phase] for item in found[1:]])
+        assert np.isnan(shares).all() or np.nanmean(shares) > 0.9
+    widths = np.array([np.median(item.deviation, axis=0) for item in found])
+    assert (widths[2] < widths[0]).all()
+
+
+def test_without_carrying_each_run_begins_with_nothing(runs, found):
+    alone = list(learnt.learn_runs(runs, HOUR, carry=False))
+    np.testing.assert_array_equal(rms(alone, 'carried'), rms(alone, 'uncompensated'))
+    np.testing.assert_array_equal(rms(alone, 'learnt')[0], rms(found, 'learnt')[0])
+    assert (rms(alone, 'learnt')[1:] > rms(found, 'learnt')[1:]).all()
+
+
+def test_a_probe_acts_from_the_next_sample_on(found):
+    item = found[0]
+    first = int(np.flatnonzero(item.probed[:, 0])[0])
+    assert item.time[first] - item.time[0] == pytest.approx(HOUR)
+    assert not item.predicted[: first + 1].any()
+    assert item.predicted[first + 1, 0] == pytest.approx(item.measured[first, 0], abs=2e-6)
+    assert item.probes.tolist() == item.probed.sum(axis=0).tolist()
+
+
+def test_where_nothing_was_measured_the_next_displacement_is_the_probe(runs):
+    holed = runs[0].displacement.copy()
+    holed[50:80, 0] = np.nan
+    (item,) = learnt.learn_runs([replace(runs[0], displacement=holed)], HOUR)
+    assert np.flatnonzero(item.probed[:, 0])[0] == 80
+    assert np.flatnonzero(item.probed[:, 1])[0] == 60
+
+
+def test_noise_of_probes_is_drawn_by_seed(runs, found):
+    one, same, other = (
+        next(learnt.learn_runs(runs[:1], HOUR, seed=seed)).rms['learnt'] for seed in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(one, same)
+    assert (one != other).any()
+    assert (one != found[0].rms['learnt']).any()
+
+
+def test_probes_faster_than_samples_are_refused(runs):
+    with pytest.raises(ThermalDataError, match=r'at least 60 s between two probes.* found 10 s'):
+        next(learnt.learn_runs(runs, 10.0))
+
+
+def test_figures_and_page(found):
+    document = learnt.learnt_document(found)
+    channel = document['runs'][found[1].run]['Y']
+    assert channel['residual']['learnt']['rms_um'] == pytest.approx(
+        1e6 * found[1].rms['learnt'][0]
+    )
+    assert 0.0 <= channel['band']['unprobed']['covered'] <= 1.0
+    table = learnt.learnt_table(found)
+    assert [row[0] for row in table.rows] == [item.run for item in found]
+    page = render_page(learnt.learnt_page(found, {'Machine': 'mill'}))
+    assert all(f'{item.run}: error, prediction and probes' in page for item in found)
+
+
+def test_lines_name_where_the_last_probe_does_better(found):
+    worse = replace(found[1], rms={**found[1].rms, 'held': np.zeros(2)}, doubted=np.array([1, 0]))
+    lines = learnt.learnt_lines([worse])
+    assert any('1 of 6 probes doubted' in line for line in lines)
+    assert any('on Y, Z the last probe, held, does better' in line for line in lines)
+    assert not any('does better' in line for line in learnt.learnt_lines(found[1:]))
