@@ -404,7 +404,17 @@ def test_info_says_which_samples_are_missing(fuzzycnc):
     assert read_json('i.json')['holes_while_recording'] == {'/a': text}
 
 
-@pytest.mark.parametrize('report', ['[]', '{"topics": {}, "holes": {"/a": 3}}'])
+@pytest.mark.parametrize(
+    'report',
+    [
+        '[]',
+        '{"topics": {"/a": {"missing": Infinity, "dropped": 0}}}',
+        '{"topics": {}, "holes": {"/a": 3}}',
+        '{"topics": {}, "holes": {"/a": {"count": "no", "longest_s": 1, "at_s": 2}}}',
+        '{"topics": {}, "gaps": 3}',
+        '{"topics": {}, "gaps": [{"messages": Infinity, "from_s": 1, "to_s": 2, "cause": ""}]}',
+    ],
+)
 def test_info_of_a_damaged_loss_report(refused, report):
     with BagWriter('odd') as writer:
         writer.attach(REPORT_NAME, report)
