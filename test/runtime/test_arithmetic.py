@@ -45,9 +45,28 @@ def test_other_instructions_are_another_kind_of_processor(name, value):
     assert apart([told], told) == ''
 
 
+def test_the_version_of_scipy_is_told_without_its_import():
+    script = f'{TELL}; import sys; assert "scipy" not in sys.modules; import scipy; '
+    script += 'print(f"scipy={scipy.__version__}")'
+    command = [sys.executable, '-c', script]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    told, version = done.stdout.splitlines()
+    assert version in told.split()
+
+
 def test_other_libraries_are_no_other_processor():
     text = apart(['x86_64 kernel=Zen numpy=1'], 'x86_64 kernel=Zen numpy=2')
     assert text == 'with other libraries (numpy=1, here numpy=2)'
     assert 'another kind' in apart(
         ['x86_64 kernel=Zen numpy=1'], 'x86_64 kernel=Cooperlake numpy=2'
     )
+
+
+def test_what_another_version_says_of_something_else_is_no_difference():
+    """Bags recorded before had the C library's functions as `functions=`, at other arguments."""
+    here = 'x86_64 FMA3 libm=1f numpy=2'
+    assert apart(['x86_64 FMA3 functions=ab numpy=2'], here) == ''
+    text = apart(['x86_64 functions=ab numpy=2'], here)
+    assert text == 'on another kind of processor (nothing of it, here FMA3)'
+    text = apart(['x86_64 FMA3 libm=2e numpy=2'], here)
+    assert text == 'on another kind of processor (libm=2e, here libm=1f)'
