@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from benches import predictor_bench
+from command_lines import read_json
 from small_recordings import warm_up
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
@@ -28,10 +29,6 @@ from fuzzycnc_ros.core.thermal.model import load_model
 from fuzzycnc_ros.runtime.arithmetic import arithmetic
 
 SHORT = ('--duties', 'T2', '--train', 'D0,T1')
-
-
-def read_json(name: str):
-    return json.loads(Path(name).read_text())
 
 
 # import-csv
