@@ -42,8 +42,11 @@ On the simulated sheet (265 samples, data seeds 100 to 111) it names 0.2 % of ho
 of 5 % that were moved by 3 to 10 mm it finds 96 %.
 """
 
-FEW = 60
-"""Samples up to which each suspect is judged by a process that was found without it."""
+FEW = 30
+"""Samples up to which each suspect is judged by a process that was found without it.
+
+Of 40 that finds 79 % of pairs, the other rule 87 % (seeds 1000 to 1079).
+"""
 
 SURPRISING = 9.0
 """Distance from what that process expects, in its standard deviations, that is an outlier [-].
