@@ -3,7 +3,8 @@
 """What a recorder says of its own bag: messages that are lost, holes in what was sampled."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,12 +23,9 @@ def lost_messages(attachments: 'Mapping[str, Attachment]') -> dict[str, int]:
     ValueError
         If the attachment is not what a recorder writes.
     """
-    topics = _said(attachments, 'topics')
-    try:
+    with _said(attachments, 'topics') as topics:
         lost = {str(name): int(item['missing'] + item['dropped']) for name, item in topics.items()}
-    except (LookupError, TypeError) as error:
-        raise _odd(error) from error
-    return {name: count for name, count in lost.items() if count}
+        return {name: count for name, count in lost.items() if count}
 
 
 def holes(attachments: 'Mapping[str, Attachment]') -> dict[str, str]:
@@ -38,13 +36,11 @@ def holes(attachments: 'Mapping[str, Attachment]') -> dict[str, str]:
     ValueError
         If the attachment is not what a recorder writes.
     """
-    try:
+    with _said(attachments, 'holes') as found:
         return {
             str(topic): hole_text(int(item['count']), float(item['longest_s']), item['at_s'])
-            for topic, item in _said(attachments, 'holes').items()
+            for topic, item in found.items()
         }
-    except (LookupError, TypeError) as error:
-        raise _odd(error) from error
 
 
 def gaps(attachments: 'Mapping[str, Attachment]') -> list[str]:
@@ -55,15 +51,13 @@ def gaps(attachments: 'Mapping[str, Attachment]') -> list[str]:
     ValueError
         If the attachment is not what a recorder writes.
     """
-    try:
+    with _said(attachments, 'gaps') as found:
         return [
             f'{int(gap["messages"])} messages from {_time(gap["from_s"])} to '
             f'{_time(gap["to_s"])} s, '
             f'since {gap["cause"]}'
-            for gap in _said(attachments, 'gaps')
+            for gap in found
         ]
-    except (LookupError, TypeError, ValueError) as error:
-        raise _odd(error) from error
 
 
 def publishers(attachments: 'Mapping[str, Attachment]') -> dict[str, tuple[str, ...]]:
@@ -74,13 +68,8 @@ def publishers(attachments: 'Mapping[str, Attachment]') -> dict[str, tuple[str, 
     ValueError
         If the attachment is not what a recorder writes.
     """
-    try:
-        return {
-            str(topic): tuple(map(str, nodes))
-            for topic, nodes in _said(attachments, 'publishers').items()
-        }
-    except TypeError as error:
-        raise _odd(error) from error
+    with _said(attachments, 'publishers') as found:
+        return {str(topic): tuple(map(str, nodes)) for topic, nodes in found.items()}
 
 
 def hole_text(count: int, longest: float, at: float) -> str:
@@ -120,22 +109,17 @@ def loss(bag: Path) -> str:
     return f'{bag}: {"; ".join(parts)}: the computer was too busy, or a node was away'
 
 
-def _said(attachments: 'Mapping[str, Attachment]', part: str) -> Any:
+@contextmanager
+def _said(attachments: 'Mapping[str, Attachment]', part: str) -> Iterator[Any]:
+    """Give a part of what a recorder says; what cannot be taken of it raises a `ValueError`."""
     from fuzzycnc_ros.bags.recorder import REPORT_NAME
 
-    if REPORT_NAME not in attachments:
-        return {}
     try:
-        # Recordings of earlier versions say nothing of holes and gaps.
-        said = json.loads(attachments[REPORT_NAME].data)
-        if part == 'gaps':
-            return list(said.get(part, []))
-        return dict(said['topics'] if part == 'topics' else said.get(part, {}))
-    except (ValueError, LookupError, TypeError, AttributeError) as error:
-        raise _odd(error) from error
-
-
-def _odd(error: Exception) -> ValueError:
-    from fuzzycnc_ros.bags.recorder import REPORT_NAME
-
-    return ValueError(f'{REPORT_NAME}: expected what the recorder counted but found {error!r}')
+        # Recordings of earlier versions say nothing but the topics, others nothing at all.
+        given = REPORT_NAME in attachments
+        said = json.loads(attachments[REPORT_NAME].data) if given else {'topics': {}}
+        yield said['topics'] if part == 'topics' else said.get(part, {})
+    except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:
+        raise ValueError(
+            f'{REPORT_NAME}: expected what the recorder counted but found {error!r}'
+        ) from error

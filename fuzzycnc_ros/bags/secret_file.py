@@ -21,11 +21,14 @@ def check_secret(path: Path, what: str) -> None:
     Raises
     ------
     ValueError
-        If they can; the message names the remedy.
-    OSError
-        If it cannot be looked at.
+        If they can, or it is not there; the message names the file, and the remedy.
     """
-    mode = path.stat().st_mode & 0o777
+    try:
+        mode = path.stat().st_mode & 0o777
+    except OSError as error:
+        raise ValueError(
+            f'{what} {path}: expected a readable file but found: {error.strerror}'
+        ) from error
     if mode & OTHERS:
         raise ValueError(
             f'{what} {path}: expected a file that only its owner can read but found mode '

@@ -43,10 +43,6 @@ class OpcuaServerNode(ReportNode[OpcuaServerConfig]):
             credentials = read_credentials(paths['credentials'])
             try:
                 check_secret(paths['private_key'], 'private_key')
-            except OSError as error:
-                raise ParameterError(
-                    f'parameter private_key: {paths["private_key"]}: {error.strerror}'
-                ) from error
             except ValueError as error:
                 raise ParameterError(str(error)) from error
             entry = Entry(paths['certificate'], paths['private_key'], *credentials)

@@ -27,6 +27,7 @@ from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.names import text_hash
+from fuzzycnc_ros.core.remedies import Remedy, remedied
 from fuzzycnc_ros.core.thermal.model import SIZE_MAX, ThermalModel
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.clocks import wall_timer
@@ -67,7 +68,7 @@ class Training:
     model: ThermalModel | None = None
     error: str = 'the training broke off; the log of the node says where'
 
-    def work(self, bags: Sequence[str], name: str) -> None:
+    def work(self, bags: Sequence[str], name: str, sensor_limits: Sequence[str]) -> None:
         """Read the runs and train; what goes wrong ends up in `error`."""
         # Loaded on use: a node that is never asked to train starts a second faster.
         from fuzzycnc_ros.core.thermal.fit import train_model
@@ -79,12 +80,13 @@ class Training:
             runs = []
             for done, bag in enumerate(bags):
                 self.note('read', bag, done, len(bags))
-                runs.append(read_run(bag))
+                runs.append(read_run(bag, sensor_limits=sensor_limits))
             self.model = train_model(runs, model=name, progress=self.note)
         except CancelledError:
             self.error = 'cancelled'
         except (ValueError, OSError) as error:
-            self.error = str(error)
+            refusal = remedied(error)
+            self.error = str(error) if refusal is None else refusal.told(_with_goal)
 
     def note(self, stage: str, candidate: str, done: int, total: int) -> None:
         """Pass progress on; leave the training if it was cancelled."""
@@ -102,6 +104,12 @@ class Training:
                 self.untold.append(step)
         told, self.untold = self.untold[:TOLD_AT_ONCE], self.untold[TOLD_AT_ONCE:]
         return told
+
+
+def _with_goal(remedy: Remedy) -> str:
+    """Return a remedy with what the goal says for it, if it can."""
+    limits = remedy.arguments.get('sensor_limits')
+    return remedy.words if limits is None else f"{remedy.words}: sensor_limits: ['{limits}']"
 
 
 class ThermalPredictorNode(ComponentNode):
@@ -167,7 +175,9 @@ class ThermalPredictorNode(ComponentNode):
         request = goal.request
         training = Training(goal, Future(executor=self.node.executor), before=self._thread)
         training.thread = threading.Thread(
-            target=training.work, args=(list(request.bag), request.model or 'auto'), daemon=True
+            target=training.work,
+            args=(list(request.bag), request.model or 'auto', list(request.sensor_limits)),
+            daemon=True,
         )
         self._training, self._thread = training, training.thread
         training.thread.start()

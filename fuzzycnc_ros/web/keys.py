@@ -46,8 +46,8 @@ def read_token(file: Path) -> str:
     KeyFileError
         If it cannot be read, is too short, or others may read it.
     """
+    _check_secret(file, 'token')
     try:
-        _check_secret(file, 'token')
         text = file.read_text(encoding='ascii').strip()
     except (OSError, UnicodeError) as error:
         raise KeyFileError(f'token {file}: expected a readable text but found: {error}') from error
@@ -104,15 +104,13 @@ def check_pair(certificate: Path, key: Path) -> None:
         If one cannot be read, they do not belong together, or others may read the key.
     """
     try:
-        _check_secret(key, 'private_key')
         ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(certificate, key)
-    except KeyFileError:
-        raise
     except (OSError, ValueError) as error:  # an SSLError is an OSError
         raise KeyFileError(
             f'certificate {certificate} and private_key {key}: expected a pair in PEM but '
             f'found: {error}'
         ) from error
+    _check_secret(key, 'private_key')
 
 
 def _check_secret(file: Path, what: str) -> None:
@@ -121,7 +119,7 @@ def _check_secret(file: Path, what: str) -> None:
     Raises
     ------
     KeyFileError
-        If they may.
+        If they may, or it is not there.
     """
     try:
         check_secret(file, what)

@@ -21,3 +21,8 @@ def test_that_of_its_owner_alone_is_taken(tmp_path, mode):
     (tmp_path / 'key.pem').touch()
     (tmp_path / 'key.pem').chmod(mode)
     check_secret(tmp_path / 'key.pem', 'key')
+
+
+def test_a_secret_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(ValueError, match=r'token .*/none: expected a readable file but found: No'):
+        check_secret(tmp_path / 'none', 'token')

@@ -3,6 +3,7 @@
 """Action `train_thermal_model` and the live parameter `model` of the predictor."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,7 @@ class Client:
         observer.until(self._client.server_is_ready, 'action train_thermal_model')
         observer.settle('thermal_predictor')  # it knows whom to answer
 
-    def send(self, bags: list[str], **request: str) -> Any:
+    def send(self, bags: list[str], **request: Any) -> Any:
         """Ask for a training; return the handle of the goal."""
         self.feedback.clear()
         future = self._client.send_goal_async(
@@ -136,6 +137,17 @@ def test_training_on_what_is_no_run_is_aborted_with_the_reason(client, tmp_path)
     assert answer.status == GoalStatus.STATUS_ABORTED
     assert not answer.result.success
     assert str(tmp_path) in answer.result.message
+
+
+def test_training_takes_limits_of_single_sensors(client, bags):
+    answer = client.result(client.send(bags, sensor_limits=['*:range_high:1']))
+    assert answer.status == GoalStatus.STATUS_ABORTED
+    assert 'and 1 degC' in answer.result.message
+    assert re.search(
+        r"limits of its own: sensor_limits: \['\w+:range_high:\d+'\]", answer.result.message
+    )
+    answer = client.result(client.send(bags, sensor_limits=['bed']))
+    assert 'sensor_limits: expected SENSOR:LIMIT:VALUE' in answer.result.message
 
 
 def set_model(observer: Any, path: Path | str) -> Any:

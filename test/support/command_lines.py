@@ -2,8 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Command lines run in this process, in an empty folder."""
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -46,3 +49,8 @@ def refuser(command: Callable[..., Outcome]) -> Callable[..., str]:
         return lines[0]
 
     return refuse
+
+
+def read_json(name: str) -> Any:
+    """Return what a command has written as JSON."""
+    return json.loads(Path(name).read_text(encoding='utf-8'))

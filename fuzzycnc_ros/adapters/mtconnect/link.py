@@ -17,10 +17,10 @@ from datetime import datetime, timezone
 from functools import partial
 from urllib.parse import quote
 
-from fuzzycnc_ros.adapters.modbus.registers import no_temperature, scaled
 from fuzzycnc_ros.adapters.mtconnect.documents import DataItem, Document, parse
 from fuzzycnc_ros.adapters.readings.devices import Item, MtconnectDevice, Quantity
 from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
+from fuzzycnc_ros.adapters.readings.plausible_value import no_temperature, scaled
 
 HEARTBEAT = 1.0
 """Longest silence that the agent is asked for while nothing changes [s]."""

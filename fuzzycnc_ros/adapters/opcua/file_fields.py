@@ -175,8 +175,6 @@ def read_credentials(path: Path) -> tuple[str, str]:
     """
     try:
         check_secret(path, 'credentials')
-    except OSError as error:
-        raise ParameterError(f'{path}: expected credentials but: {error.strerror}') from error
     except ValueError as error:
         raise ParameterError(str(error)) from None
     try:

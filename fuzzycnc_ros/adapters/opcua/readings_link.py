@@ -6,7 +6,6 @@ import asyncio
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from fuzzycnc_ros.adapters.modbus.registers import no_temperature, scaled
 from fuzzycnc_ros.adapters.opcua.session import (
     MESSAGE_MAX,
     NODES_MAX,
@@ -19,6 +18,7 @@ from fuzzycnc_ros.adapters.opcua.session import (
 )
 from fuzzycnc_ros.adapters.readings.devices import SPINDLE, OpcUaDevice, Variable
 from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
+from fuzzycnc_ros.adapters.readings.plausible_value import no_temperature, scaled
 from fuzzycnc_ros.ros.parameters import ParameterError
 
 if TYPE_CHECKING:

@@ -133,7 +133,7 @@ def evaluate(
     from fuzzycnc_ros.cli.models.train import default_text, problem_lines
     from fuzzycnc_ros.core.thermal.fit.evaluation import false_bands
     from fuzzycnc_ros.core.thermal.model import load_model
-    from fuzzycnc_ros.studies.thermal.judged import false_band_remarks
+    from fuzzycnc_ros.studies.thermal.judged import overall_band_remarks, run_band_remark
 
     processes = jobs_of(jobs)
     every = None
@@ -177,12 +177,14 @@ def evaluate(
     with progress_bar('evaluating') as tell:
         found: Sorted[Judged] = with_each(work, find_bags(bags), processes, tell)
     judged = [item.evaluation for item in found.results]
-    lines = false_band_remarks(judged)
+    bands = [run_band_remark(item, len(judged)) for item in judged]
+    lines = [band for band in bands if band.warning] + overall_band_remarks(judged)
     for line in lines:
         remark(line)
     _show(judged, trained)
-    others = [item for result in judged for item in _remarks(result, trained, len(judged))]
-    others = [item for item in others if item not in lines]
+    others = []
+    for result, band in zip(judged, bands, strict=True):
+        others += _remarks(result, None if band.warning else band, trained)
     for line in others:
         remark(line)
     lines += others
@@ -262,11 +264,11 @@ def _show(judged: 'list[Evaluation]', model: 'ThermalModel') -> None:
     show(residual_table(title, result.channel, result.rms, result.largest, refused))
 
 
-def _remarks(result: 'Evaluation', model: 'ThermalModel', runs: int) -> 'list[Remark]':
+def _remarks(result: 'Evaluation', band: 'Remark | None', model: 'ThermalModel') -> 'list[Remark]':
     """Return what a reader of the figures has to know."""
     from fuzzycnc_ros.studies.thermal.judged import remarks_on, training_remark
 
-    window, *others = remarks_on(result, runs)
+    window, *others = remarks_on(result, band)
     trained_on = training_remark(result.run, result.trained_on, result.recognised, model.runs)
     return [window, trained_on, *others]
 

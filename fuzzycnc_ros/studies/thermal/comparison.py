@@ -15,6 +15,7 @@ from fuzzycnc_ros.studies.thermal.judged import (
     loss_remarks,
     plain_remarks,
     remarks_on,
+    run_band_remark,
     training_remark,
     worse_than_none,
     worse_than_plain,
@@ -252,7 +253,7 @@ def by_channel(chosen: Mapping[str, str | None]) -> str:
 def held_out_remarks(item: 'HeldOut') -> list[Remark]:
     """Return what a reader of a held-out run has to know."""
     judged = item.evaluation
-    remarks = remarks_on(judged, refused=refused_on(item))
+    remarks = remarks_on(judged, run_band_remark(judged), refused_on(item))
     if judged.trained_on:
         # A copy of the run was trained on under another name.
         remarks.insert(1, training_remark(judged.run, judged.trained_on, True, ()))

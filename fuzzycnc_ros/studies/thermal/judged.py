@@ -21,22 +21,25 @@ if TYPE_CHECKING:
     Figures = Mapping[str, NDArray[np.float64]]
 
 
-def remarks_on(judged: 'Evaluation', runs: int = 1, refused: Collection[str] = ()) -> list[Remark]:
+def remarks_on(
+    judged: 'Evaluation', band: Remark | None, refused: Collection[str] = ()
+) -> list[Remark]:
     """Return what a reader of a judged run has to know: window, start, domain, band, losses.
 
     Parameters
     ----------
     judged : Evaluation
         The run.
-    runs : int
-        Number of runs that are judged, each by itself.
+    band : Remark, optional
+        What `run_band_remark` says of it; absent if the reader has seen that already.
     refused : collection of str
         Candidates that are not to be trusted.
     """
     remarks = [Remark(window_text(judged))]
     if judged.warm:
         remarks.append(Remark(warm_text(judged.run, judged.warm), True))
-    remarks.append(_band_of(judged, runs))
+    if band is not None:
+        remarks.append(band)
     remarks += loss_remarks(judged.run, judged.channel, judged.rms)
     return remarks + plain_remarks(judged.run, judged.channel, judged.rms, refused)
 
@@ -162,23 +165,22 @@ def band_remark(
 _ADVICE = 'do not rely on it, and train on runs like this as well'
 
 
-def _band_of(judged: 'Evaluation', runs: int = 1) -> Remark:
+def run_band_remark(judged: 'Evaluation', runs: int = 1) -> Remark:
+    """Return `band_remark` of a run, one of `runs` that are judged, each by itself."""
     figures = judged.covered, judged.half_width, judged.band_ratio, judged.independent
     return band_remark(judged.run, judged.channel, *figures, runs=runs)
 
 
-def false_band_remarks(judged: 'Sequence[Evaluation]') -> list[Remark]:
-    """Return in which runs, and over all of them, the band holds far less than it promises."""
-    each = [_band_of(item, len(judged)) for item in judged]
-    remarks = [remark for remark in each if remark.warning]
+def overall_band_remarks(judged: 'Sequence[Evaluation]') -> list[Remark]:
+    """Return that the band holds far less than it promises over several runs, if it does."""
     pooled = zip(judged[0].channel, *pooled_coverage(judged), strict=True)
     false = [
         f'{100.0 * each[0]:.0f} % of {name}' for name, *each in pooled if is_false_band(*each)
     ]
-    if false and len(judged) > 1:
-        text = f'over {len(judged)} runs the band holds {", ".join(false)}; it promises 95 %'
-        remarks.append(Remark(f'{text}: {_ADVICE}', True))
-    return remarks
+    if not false or len(judged) == 1:
+        return []
+    text = f'over {len(judged)} runs the band holds {", ".join(false)}; it promises 95 %'
+    return [Remark(f'{text}: {_ADVICE}', True)]
 
 
 def worse_than_none(channel: Sequence[str], rms: 'Figures', name: str = DEFAULT) -> list[str]:

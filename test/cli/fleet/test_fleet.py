@@ -3,7 +3,6 @@
 """`fuzzycnc fleet`: from bags of several machines to models, a table and a page."""
 
 import contextlib
-import json
 import os
 import re
 import shutil
@@ -15,6 +14,7 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
+from command_lines import read_json
 from fleet_bags import DAY, FIRST_DAY, warm_up, write_bag
 from processes import HANG, children, start, wait_for
 
@@ -39,10 +39,6 @@ def archive(fuzzycnc, here):
         write_bag(warm_up(number, samples=60), path, FIRST_DAY + number * DAY, machine)
     Path('archive/mill_1/torn').mkdir()
     Path('archive/mill_1/torn/torn_0.mcap').write_bytes(b'no bag')
-
-
-def read_json(name):
-    return json.loads(Path(name).read_text())
 
 
 def test_from_bags_to_a_page(fuzzycnc, archive):

@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """All models side by side on what none of them has seen."""
 
-import json
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_lines import read_json
 
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.cli.models.compare import speed_missing
@@ -17,10 +17,6 @@ from fuzzycnc_ros.papers.names import COMPARED
 
 LINEAR = ('least_squares', 'static_ridge', 'lag_ridge', 'stable_grey')
 QUICK = ('--models', ','.join(LINEAR))
-
-
-def read_json(name):
-    return json.loads(Path(name).read_text())
 
 
 @pytest.fixture

@@ -2,18 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """How the error on unseen runs falls with the number of sensors."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_lines import read_json
 
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.core.thermal.fit import sensor_count_curve
-
-
-def read_json(name):
-    return json.loads(Path(name).read_text())
 
 
 def test_each_run_is_held_out_once(fuzzycnc, bag):

@@ -2,20 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Many bags on one command line: which are meant, and one bad one hides no other."""
 
-import json
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_lines import read_json
 from small_recordings import IMPORT, warm_up
 
 from fuzzycnc_ros.bags.finding import find_bags
 from fuzzycnc_ros.cli.models.many_bags import cores, jobs_of
-
-
-def read_json(name):
-    return json.loads(Path(name).read_text())
 
 
 def names(*places):

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recorded runs as they are on a shop floor: readings that are missing, probes taken in turn."""
 
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benches.predictor_bench import bench_with_model, errors_of, predict, recordings, trained
+from command_lines import read_json
 from small_recordings import IMPORT, warm_up
 
 from fuzzycnc_ros.bags.finding import NamedBag
@@ -19,10 +19,6 @@ from fuzzycnc_ros.core.thermal.run import ThermalDataError
 from fuzzycnc_ros.studies.thermal.missing_readings import LINE, MATES, as_predicted
 
 QUICK = ('--models', 'static_ridge,lag_ridge')
-
-
-def read_json(name):
-    return json.loads(Path(name).read_text())
 
 
 @pytest.fixture

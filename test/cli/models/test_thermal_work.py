@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from benches import predictor_bench
+from command_lines import read_json
 from small_recordings import warm_up
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
@@ -28,10 +29,6 @@ from fuzzycnc_ros.core.thermal.model import load_model
 from fuzzycnc_ros.runtime.arithmetic import arithmetic
 
 SHORT = ('--duties', 'T2', '--train', 'D0,T1')
-
-
-def read_json(name: str):
-    return json.loads(Path(name).read_text())
 
 
 # import-csv
@@ -404,7 +401,17 @@ def test_info_says_which_samples_are_missing(fuzzycnc):
     assert read_json('i.json')['holes_while_recording'] == {'/a': text}
 
 
-@pytest.mark.parametrize('report', ['[]', '{"topics": {}, "holes": {"/a": 3}}'])
+@pytest.mark.parametrize(
+    'report',
+    [
+        '[]',
+        '{"topics": {"/a": {"missing": Infinity, "dropped": 0}}}',
+        '{"topics": {}, "holes": {"/a": 3}}',
+        '{"topics": {}, "holes": {"/a": {"count": "no", "longest_s": 1, "at_s": 2}}}',
+        '{"topics": {}, "gaps": 3}',
+        '{"topics": {}, "gaps": [{"messages": Infinity, "from_s": 1, "to_s": 2, "cause": ""}]}',
+    ],
+)
 def test_info_of_a_damaged_loss_report(refused, report):
     with BagWriter('odd') as writer:
         writer.attach(REPORT_NAME, report)

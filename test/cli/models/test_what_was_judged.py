@@ -2,19 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Windows, training rows and losses: commands say what was judged, and when no model is best."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_lines import read_json
 from small_recordings import IMPORT, warm_up
 from tiers import rest_slow
 
 ROWS = 240
-
-
-def read_json(name):
-    return json.loads(Path(name).read_text())
 
 
 def said(outcome, start):

@@ -83,6 +83,21 @@ def test_outliers_cost_next_to_nothing(data):
     assert kept < 1.3 * clean
 
 
+def test_two_outliers_among_twenty_samples_do_not_hide_each_other():
+    found = wrongly = 0
+    for seed in range(4):
+        x, s = foam_samples(seed)
+        rng = np.random.default_rng(seed)
+        some = rng.permutation(len(x))[:20]
+        x, s = x[some], s[some].copy()
+        s[:2] += [[6.0, 3.0], [-4.0, 6.0]]
+        out = outlying(x, s)
+        found += out[:2].sum()
+        wrongly += out[2:].sum()
+    assert found >= 6
+    assert wrongly <= 1
+
+
 def test_honest_samples_are_hardly_ever_outliers():
     for seed in (4, 5):
         assert outlying(*foam_samples(seed)).sum() <= 2

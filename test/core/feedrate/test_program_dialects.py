@@ -257,7 +257,12 @@ LATHE = 'O1\nG21 G40\n{}\nG97 S500 M3\nT0101\nG0 X60. Z2.\nG98 G1 Z-20. F3000\nX
 
 
 @pytest.mark.parametrize(
-    'line', ['G50 S2500', 'S2500 G50', 'G28 U0 W0', 'G28 U0.', 'N7 G30 U0. W0.', 'G53 G0 W-10. U0']
+    'line',
+    [
+        *('G50 S2500', 'S2500 G50', 'G92 S2500', 'N5G92S#100', 'S2500 G92', 'G96 S180 M3'),
+        *('S180 M3 G96', 'G71 P10 Q20 U.5 W.1', 'G28 U0 W0', 'G28 U0.', 'N7 G30 U0. W0.'),
+        'G53 G0 W-10. U0',
+    ],
 )
 def test_a_lathe_of_fanucs_kind_has_diameters_and_no_y(line):
     program = read_program(LATHE.format(line))
@@ -315,8 +320,19 @@ def test_cycles_and_threads_of_lathes_are_no_moves(cycle):
     'text',
     [
         'G50 S2500\nG0 X60. Y1. Z2.\n',  # a mill
+        'G92 S2500\nT0101\nG96 S180\nG0 X60. Y1. Z2.\n',
         'G50 S2500\nG91\nG90 G0 X60. Z2.\n',  # a control on which U and W are axes
+        'G91 G28 U0\nG90 G0 X60. Z2.\n',
         'G18 G7\nG96 D2500 S200\nG0 X60. Z2.\n',  # LinuxCNC
+        'T101 M6\nG96 S200\nG0 X60. Z2.\n',
+        'G8\nT101\nG96 S200\nG0 X60. Z2.\n',
+        'G96 S200 LIMS=3000\nG0 X60. Z2.\n',  # Siemens
+        'G96 S200 (T0101)\nG0 X60. Z2.\n',
+        'G96 S200\nG0 X60. Z2.\n',  # a facing head may be U
+        'G71\nG0 X60. Z2.\nG4 P1\n',  # millimetres of Siemens
+        'G92 X0 Z0 S2500\nG0 X60. Z2.\n',  # a new place
+        'G92.1 S2500\nG0 X60. Z2.\n',
+        'G96 S200\nT0101\nG0 X60.\n',  # no Z
         'G50 (S2500)\nG0 X60. Z2.\n',
     ],
 )

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.thermal.fit.training_runs import check_training_runs
+from fuzzycnc_ros.core.thermal.fit.training_runs import check_rise, check_training_runs
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun, counted
+from fuzzycnc_ros.core.thermal.sensor_limits import SensorLimits
 
 
 def make(samples=20, interval=60.0, **changes):
@@ -278,3 +279,23 @@ def test_missing_sensors_are_named():
 def test_runs_that_teach_nothing_are_refused(others, message):
     with pytest.raises(ThermalDataError, match=message):
         check_training_runs(others)
+
+
+@pytest.mark.parametrize('interval', [0.7, 7.0, 9.1, 60.0, 90.0])
+@pytest.mark.parametrize('limit', [(), ('*:rate_max:0.7',)])
+def test_a_rise_at_its_limit_passes_at_any_interval(interval, limit):
+    minute = max(1, round(60.0 / interval))
+    fastest = (42.0 if limit else 10.0) * minute * interval / 60.0
+    for share, passes in ((1.0 - 1e-12, True), (1.001, False)):
+        step = np.repeat([0.0, share * fastest], minute + 4)
+        run = make(
+            len(step),
+            interval,
+            temperature=np.column_stack([step, step]),
+            limits=SensorLimits.of(('*:range_high:1000', *limit)),
+        )
+        if passes:
+            check_rise(run)
+        else:
+            with pytest.raises(ThermalDataError, match='K per minute'):
+                check_rise(run)

@@ -162,8 +162,9 @@ class Interpreter:
             self.state.set_lathe()
             self.notes.add(
                 1,
-                'a lathe (limit of the spindle by G50, or home by U and W): X is a diameter, U '
-                'and W are relative, and feeds are per revolution until G94 or G98',
+                'a lathe (limit or surface speed of the spindle, turning cycle, home by U and W): '
+                'X is a diameter, U and W are relative, and feeds are per revolution until G94 or '
+                'G98',
             )
 
     def read(self, text: str, line: Line, number: int) -> list[Block]:

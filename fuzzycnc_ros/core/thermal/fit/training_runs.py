@@ -172,14 +172,13 @@ def check_rise(run: ThermalRun) -> None:
         return
     change = np.abs(run.temperature[minute:] - run.temperature[:-minute])
     span = minute * run.interval
-    fastest = run.limits.values('rate_max', run.sensor, RISE_RATE_MAX / 60.0)
-    # Of the sensors as they are the fraction is that of before, to the last digit.
-    limit = np.where(fastest == RISE_RATE_MAX / 60.0, RISE_RATE_MAX * span / 60.0, fastest * span)
+    per_minute = 60.0 * run.limits.values('rate_max', run.sensor, RISE_RATE_MAX / 60.0)
+    limit = per_minute * span / 60.0
     if (change > limit).any():
         row, column = np.unravel_index(int(np.argmax(change - limit)), change.shape)
         rate = float(change[row, column]) / span
         raise ThermalDataError(
-            f'run {run.name!r}: expected at most {60.0 * fastest[column]:g} K per minute, but '
+            f'run {run.name!r}: expected at most {per_minute[column]:g} K per minute, but '
             f'found {change[row, column]:.3g} K within {span:.3g} s of sensor '
             f'{run.sensor[column]!r} at sample {row}; check its plug; import the run without a '
             'single odd reading',
