@@ -382,6 +382,36 @@ class _Recording:
             for record in configurations:
                 if record.node in REPLAYABLE:
                     self.nodes[f'{space}/{record.node}'].append(record)
+        early = [] if self.begins_late else [name for name in self.nodes if self._early(name)]
+        if early:
+            self.begins_late = True
+            self.notes.append(
+                f'{", ".join(early)} had been at work when the recording began: its nodes start '
+                'from what was latched then'
+            )
+
+    def _early(self, name: str) -> bool:
+        """Return whether a node has told something that nothing in the bag can have caused."""
+        space, _, node = name.rpartition('/')
+        kind = COMPONENTS[node]
+        began = self.driven_from(space, kind)
+        by_itself = kind.next_deadline is not Component.next_deadline
+        told = [
+            _stamp(self.raw[topic][0][1])
+            for topic, item in ((f'{space}/{item.name}', item) for item in kind.OUTPUTS)
+            if self.raw.get(topic) and (item.persistent or not by_itself)
+        ]
+        if began is None or not any(stamp < began for stamp in told):
+            return False
+        events = self.records(f'{space}/node_event', NodeEvent)
+        asked = {event.stamp for event in events if event.node == node}
+        return any(stamp < began and stamp not in asked for stamp in told)
+
+    def driven_from(self, space: str, kind: type[Component]) -> int | None:
+        """Return the stamp of the first record that made a component act [ns]; None without."""
+        drives = next((item.name for item in kind.INPUTS if item.driving), '')
+        raw = self.raw.get(f'{space}/{drives}')
+        return _stamp(raw[0][1]) if raw else None
 
     def _series(
         self, messages: list[RawMessage], end: _SeriesEnd | None
@@ -449,6 +479,9 @@ class _Recording:
             and f'{space}/{node}' in self.nodes
         ]
         began = f'the state of {" or ".join(nodes)} began before the bag'
+        firsts = [self.driven_from(space, COMPONENTS[node]) for node in nodes]
+        if all(first is not None and last < first for first in firsts):
+            return f'{began}, and so did what differs'
         after = [stamp for _, _, stamp, _ in messages if stamp > last]
         if len(after) > len(messages) // 2:
             return f'{began}; equal from {after[0] / SECOND:.3f} s on, {len(after)} messages'
@@ -550,8 +583,15 @@ class _ComponentReplay:
     def _begin(self, first: NodeConfiguration) -> None:
         """Give the component what it had when the bag began, as far as the bag says."""
         component, late = self._component, self._recording.begins_late
+        began = self._recording.driven_from(self._space, type(component)) if late else None
         for item in component.OUTPUTS:
-            for record in self._recording.head(f'{self._space}/{item.name}', item.record):
+            topic = f'{self._space}/{item.name}'
+            known = self._recording.head(topic, item.record)
+            if began is not None and item.persistent:
+                # It follows from what came before the bag, but was told in it.
+                told = self._recording.records(topic, item.record)
+                known += [record for record in told if record.stamp < began]
+            for record in known:
                 component.restore(item.name, record)
         if isinstance(component, ThermalPredictor) and first.model:
             component.use_model(first.model)

@@ -7,7 +7,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import nullcontext
+from contextlib import ExitStack
 from dataclasses import dataclass
 from importlib import import_module
 from types import MappingProxyType
@@ -28,6 +28,7 @@ from fuzzycnc_ros.core.remedies import remedied
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.processes import Wish, interruptible
 from fuzzycnc_ros.ros.streams import steady_streams
+from fuzzycnc_ros.uninterrupted import uninterrupted
 
 EPILOG = (
     'Exit codes: 0 done; 1 done, but the result is not as wanted; 2 refused, with one line on '
@@ -241,8 +242,15 @@ class Application:
         if os.environ.get(f'_{self.name.upper()}_COMPLETE') == 'complete_bash':
             join_bash_words(os.environ)
         watching = bool(words) and words[0] in self._watching
-        with interruptible() as wish, background_output() if watching else nullcontext():
-            code = self.run(sys.argv[1:], wish)
+        with interruptible() as wish:
+            try:
+                with ExitStack() as shown:
+                    if watching:
+                        with uninterrupted():  # what is half set up could not be taken back
+                            shown.enter_context(background_output())
+                    code = self.run(sys.argv[1:], wish)
+            except KeyboardInterrupt:  # before the command began, or after its end
+                code = self._interrupted()
         _drop_unwritten()
         if code == INTERRUPTED and wish.number:
             code = ENDED_BY + wish.number

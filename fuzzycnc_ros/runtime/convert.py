@@ -9,7 +9,7 @@ names, and the caller says how to make one.  A record's annotations are the whol
 from array import array
 from collections.abc import Callable
 from dataclasses import fields
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -117,6 +117,12 @@ def _nested_codec(record_type: type) -> tuple[Decoder, Encoder]:
     return read, write
 
 
+@lru_cache(64)
+def _shared(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return equal names as one object: records that are kept do not each hold their own."""
+    return names
+
+
 def _scalar_codec(kind: Callable[[Any], Any]) -> tuple[Decoder, Encoder]:
     return kind, lambda value, target: kind(value)
 
@@ -132,7 +138,7 @@ def _codec(hint: Any) -> tuple[Decoder, Encoder]:
     if get_origin(hint) is tuple:
         item = get_args(hint)[0]
         if item is str:
-            return tuple, lambda value, target: list(value)
+            return lambda values: _shared(tuple(values)), lambda value, target: list(value)
         return _nested_codec(item)
     return _array_codec(get_args(get_args(hint)[1])[0])
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Packages of reports and of a fleet: loaded on use, named with their remedy when missing."""
 
+import logging
 from importlib import import_module
 from typing import Any
 
@@ -35,6 +36,9 @@ def require(module: str) -> Any:
         If the package is not installed; the message says how to install it.
     """
     package = module.partition('.')[0]
+    if package == 'matplotlib':
+        # It warns where it has no home folder to keep its list of fonts in, and goes on.
+        logging.getLogger(package).setLevel(logging.ERROR)
     try:
         return import_module(module)
     except ModuleNotFoundError as error:

@@ -202,3 +202,26 @@ def test_nodes_end_with_their_command(command, tmp_path, words, file, number, in
     for bag in bags:
         with BagReader(bag):
             pass
+
+
+EARLY = """
+import os, signal, sys
+from fuzzycnc_ros.cli import background_output
+from fuzzycnc_ros.cli.main import APPLICATION
+set_up = background_output.BackgroundOutput.__init__
+def interrupted(self, *words, **more):
+    os.kill(os.getpid(), signal.SIGINT)
+    set_up(self, *words, **more)
+background_output.BackgroundOutput.__init__ = interrupted
+sys.argv = ['fuzzycnc', 'record', '--out', 'bag']
+APPLICATION.main()
+"""
+"""A wish to end that comes while a command that goes on for long sets up its output."""
+
+
+def test_before_the_command_has_begun(tmp_path):
+    done = subprocess.run(
+        [sys.executable, '-c', EARLY], cwd=tmp_path, capture_output=True, text=True, timeout=HANG
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, '', 'interrupted\n')
+    assert not list(tmp_path.iterdir())

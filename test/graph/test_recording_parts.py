@@ -39,6 +39,41 @@ def test_run_in_parts(command, tmp_path):
             assert first.message.node == NODES
 
 
+def accounted_for(item):
+    """Whether what is not equal is due to a cut: its state, or itself, lies in another part."""
+    beyond_the_end = (
+        item.first_difference.startswith('not recorded') and item.identical == item.recorded
+    )
+    return item.equal or 'began before the bag' in item.not_recomputed or beyond_the_end
+
+
+@pytest.mark.slow
+def test_any_part_of_a_budgeted_run_is_replayed_from_its_head_or_says_what_is_not(
+    command, model_file, tmp_path
+):
+    """The oldest parts are deleted here, but for their copies in the archive."""
+    bag, archive = tmp_path / 'bag', tmp_path / 'archive'
+    running = command(
+        *('up', '--simulate', 'T2', '--lockstep', '--model', model_file, '--autostart'),
+        *('--record', bag, '--split-size', '600kB', '--budget', '1.5MB', '--ship', archive),
+    )
+    assert running.wait() == 0, running.output
+    kept, parts = storage_files(bag), storage_files(archive / 'bag')
+    assert 1 < len(kept) < len(parts)
+    first, *later = parts
+    for cut in (bag, *later):
+        report = replay(cut)
+        found = {item.topic: item for item in report.topics}
+        error = found['/mill/thermal_error']
+        assert error.recorded - 1 <= error.identical > 2, cut  # a cut may part it from its cause
+        assert not report.identical, cut
+        assert all(accounted_for(item) for item in report.topics), (cut, report.topics)
+        told = command('replay', cut)
+        assert told.wait() == 1
+        assert 'begins in the middle of a recording' in told.output
+    assert all(accounted_for(item) for item in replay(first).topics)
+
+
 def test_disk_without_room(graph, observer, tmp_path):
     """No disk has so much room: nothing is written, which is an alarm and no success."""
     alarms = []

@@ -19,7 +19,7 @@ from hypothesis import given
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.bags.mcapfile import McapFile
-from fuzzycnc_ros.bags.metadata import Profiles
+from fuzzycnc_ros.bags.metadata import Profiles, is_latched
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.repair import repair
 from fuzzycnc_ros.bags.replay import ReplayReport, TopicComparison, replay
@@ -324,6 +324,39 @@ def test_a_bag_that_begins_in_the_middle_is_replayed_from_its_head(thermal, fold
     assert 'begins in the middle of a recording' in report.notes[0]
     assert not report.differing
     assert not report.equivalent
+    outcome = fuzzycnc('replay', bag)
+    assert outcome.code == 1
+    assert 'NOT ALL RECOMPUTED: /mill/' in outcome.out
+
+
+def joined(bag: Bag, share: float) -> Bag:
+    """Return what a recorder gets that comes to a running graph: what is latched, then all."""
+    begin, end = bag.messages[0].log_time, bag.messages[-1].log_time
+    at = begin + int(share * (end - begin))
+    latched: dict[tuple[str, str], Logged] = {}
+    for m in bag.messages:
+        if m.log_time < at and is_latched(bag.topics[m.topic][1]):
+            sender = next((n for n in (*COMPONENTS, '') if configures(m, n)), '')
+            latched[m.topic, sender] = replace(m, log_time=at)
+    later = tuple(m for m in bag.messages if m.log_time >= at)
+    return replace(bag, messages=(*latched.values(), *later))
+
+
+@pytest.mark.parametrize('share', [0.3, 0.52])
+def test_a_recorder_that_comes_late_has_the_nodes_begin_with_what_was_latched(
+    thermal, folder, fuzzycnc, share
+):
+    bag = joined(thermal, share).write(folder / 'joined')
+    report = replay(bag)
+    found = rows(report)
+    assert found['thermal_error'].equal
+    assert found['thermal_error'].recorded > 2
+    for name in ('predictor_state', 'thermal_reference'):
+        assert found[name].recorded == found[name].identical + 1, name
+        assert 'began before the bag' in found[name].not_recomputed, name
+    assert not report.differing
+    assert not report.equivalent
+    assert 'had been at work when the recording began' in report.notes[0]
     outcome = fuzzycnc('replay', bag)
     assert outcome.code == 1
     assert 'NOT ALL RECOMPUTED: /mill/' in outcome.out

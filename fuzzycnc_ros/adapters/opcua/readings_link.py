@@ -110,6 +110,8 @@ class OpcUaLink(Link):
                     f'({name}): one of the nodes holds a long text or list; look at each with a '
                     'browser for OPC UA'
                 ) from error
+            if name.startswith('BadSession'):
+                raise LinkError(f'the server has ended the session ({name})') from error
             raise LinkError(f'the server refuses to be read ({name})') from error
         except Exception:
             self._session.well = False

@@ -74,7 +74,7 @@ class DeviceSource(Source):
         for name in ('asyncua', 'pymodbus'):
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
         self._node = node
-        self._health = [DeviceHealth(device) for device in self._devices]
+        self._health = [DeviceHealth(device, config.interval) for device in self._devices]
         measuring = [i for i, device in enumerate(self._devices) if device.sensors]
         self._place = {index: place for place, index in enumerate(measuring)}
         chosen = [self._devices[index] for index in measuring]
@@ -164,15 +164,24 @@ class DeviceSource(Source):
 
 
 class DeviceHealth:
-    """What is known of a device, for /diagnostics and the log."""
+    """What is known of a device, for /diagnostics and the log.
 
-    def __init__(self, device: AnyDevice) -> None:
-        self._device = device
+    Parameters
+    ----------
+    device : AnyDevice
+        The device.
+    interval : float
+        Sampling interval [s]; values may not be older than that unnoticed.
+    """
+
+    def __init__(self, device: AnyDevice, interval: float) -> None:
+        self._device, self._interval = device, interval
+        self._slow = ''
         self._lost: str | None = 'not connected yet'
         self._bad: dict[str, str] = {}
         self._facts: Mapping[str, str] = {}
         self._readings = self._losses = 0
-        self._told: tuple[str | None, dict[str, str]] = (self._lost, {})
+        self._told: tuple[str | None, dict[str, str], bool] = (self._lost, {}, False)
 
     def note(self, polled: Polled) -> None:
         """Note what came of asking it once."""
@@ -183,6 +192,13 @@ class DeviceHealth:
         self._readings += 1
         self._lost = None
         self._facts = polled.facts
+        self._slow = ''
+        if polled.took > self._interval:
+            self._slow = (
+                f'an answer took {polled.took:.3g} s, longer than interval = {self._interval:g} '
+                's, and its values may be as old; find out what holds the device up, or make '
+                'interval longer'
+            )
         self._bad = {
             channel.name: reading
             for channel, reading in zip(self._device.channels, polled.readings, strict=True)
@@ -196,6 +212,8 @@ class DeviceHealth:
         counts = {'readings': str(self._readings), 'failures': str(self._losses), **self._facts}
         if self._lost is not None:
             return Health(name, Level.ERROR, f'{device.address}: {self._lost}', counts)
+        if self._slow and not self._bad:
+            return Health(name, Level.WARN, f'{device.address}: {self._slow}', counts)
         if self._bad:
             shown = [f'{key}: {text}' for key, text in self._bad.items()][:NAMED_MAX]
             more = len(self._bad) - len(shown)
@@ -205,7 +223,7 @@ class DeviceHealth:
 
     def news(self) -> Health | None:
         """Return the line on the device if its trouble is another than at the last call."""
-        state = (self._lost, {} if self._lost is not None else self._bad)
+        state = (self._lost, {} if self._lost is not None else self._bad, bool(self._slow))
         if state == self._told:
             return None
         self._told = state

@@ -43,6 +43,8 @@ class Polled:
         Why it is lost.
     facts : mapping
         What the link tells beside the readings.
+    took : float
+        How long the device took to answer, and so how old its values may be [s].
     """
 
     device: int
@@ -50,6 +52,7 @@ class Polled:
     readings: Sequence[Reading] | None
     trouble: str = ''
     facts: Mapping[str, str] = field(default_factory=dict)
+    took: float = 0.0
 
 
 class Poller:
@@ -115,8 +118,9 @@ class Poller:
             link = self._connect(device)
             try:
                 await asyncio.wait_for(link.open(), device.timeout)
-                async for readings in _paced(link, device):
-                    self.results.put(Polled(index, self._now(), readings, facts=link.facts))
+                async for readings, took in _paced(link, device):
+                    polled = Polled(index, self._now(), readings, facts=link.facts, took=took)
+                    self.results.put(polled)
                     pause = BACK_OFF_FIRST
             except LinkError as error:
                 trouble, least = str(error), error.pause
@@ -130,12 +134,14 @@ class Poller:
             pause = min(2.0 * pause, BACK_OFF_MAX)
 
 
-async def _paced(link: Link, device: Device) -> AsyncIterator[Sequence[Reading]]:
-    """Yield readings, one per period, or as fast as a slower device gives them."""
+async def _paced(link: Link, device: Device) -> AsyncIterator[tuple[Sequence[Reading], float]]:
+    """Yield readings and how long they took [s], one per period, or as a slower device does."""
     loop = asyncio.get_running_loop()
     due = loop.time()
     while True:
+        asked = loop.time()
         # Each request has a timeout of its own; this one is for a device that never ends.
-        yield await asyncio.wait_for(link.read(), device.timeout * (link.requests + 1))
+        readings = await asyncio.wait_for(link.read(), device.timeout * (link.requests + 1))
+        yield readings, loop.time() - asked
         due = max(due + device.period, loop.time() - CATCH_UP)
         await asyncio.sleep(max(due - loop.time(), 0.0))

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.components.thermal.kept_samples import KeptSamples
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.thermal.run import DISPLACEMENT_MAX
 from fuzzycnc_ros.runtime.component import Health, Level
@@ -330,10 +331,6 @@ def _offset_of(applied: CompensationApplied, axis: str) -> float:
     return float(applied.offset[applied.axis.index(axis)]) if axis in applied.axis else 0.0
 
 
-SAMPLES_MAX = 20000
-"""Most samples that are kept, whatever `settle_time` says: it bounds the memory."""
-
-
 @dataclass(frozen=True, eq=False)
 class Heard:
     """A sample with what else the stream said up to it.
@@ -383,7 +380,7 @@ class PredictorStream:
         self.speeds = SpeedSources()
         probing = config.probing != 'none' or config.adaptation > 0.0
         self.probes = ProbeSource(config) if probing else None
-        self._heard: deque[Heard] = deque(maxlen=SAMPLES_MAX)
+        self._heard = KeptSamples[Heard](lambda heard: heard.sample)
 
     def hear(self, sample: Temperatures) -> Heard:
         """Return a sample with what else is known of its time; keep it as long as it matters.
@@ -399,18 +396,19 @@ class PredictorStream:
             abs(told.speed) if told is not None and known else np.nan,
             self.probes.take(stamp, since) if self.probes is not None else (),
         )
-        self._heard.append(heard)
-        oldest = stamp - nanoseconds(self.config.settle_time)
+        self._heard.add(heard)
         # One sample from before that time proves that the history is long enough.
-        while len(self._heard) > 1 and self._heard[1].sample.stamp <= oldest:
-            self._heard.popleft()
+        self._heard.drop_before(stamp - nanoseconds(self.config.settle_time))
         return heard
 
     def since(self, stamp: Stamp) -> Iterator[Heard]:
         """Yield the samples after a stamp [ns], oldest first."""
-        return (item for item in self._heard if item.sample.stamp > stamp)
+        kept, newest = list(self._heard), self._heard.newest
+        if newest is not None and newest is not kept[-1]:
+            kept.append(newest)
+        return (item for item in kept if item.sample.stamp > stamp)
 
     @property
     def newest(self) -> Heard | None:
         """The newest sample."""
-        return self._heard[-1] if self._heard else None
+        return self._heard.newest

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from fuzzycnc_ros.components.thermal.kept_samples import KeptSamples
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
 from fuzzycnc_ros.core.thermal.sensor_limits import JUDGED
@@ -39,9 +40,6 @@ from fuzzycnc_ros.runtime.records import (
 
 RunReader = Callable[[str], ThermalRun]
 """Reads the run in a bag."""
-
-SAMPLES_MAX = 20_000
-"""Samples kept of the present run: two weeks at one a minute."""
 
 PAUSE = nanoseconds(4 * 3600.0)
 """Machine time without a sample after which another run begins [ns]: the machine has cooled."""
@@ -76,17 +74,17 @@ class SensorSelector(Component[SensorSelectorConfig]):
         super().__init__(config)
         self.run_reader: RunReader | None = None
         """Reads calibration bags; the host sets it."""
-        self._samples: list[tuple[Temperatures, Displacement]] = []
+        self._samples = KeptSamples[tuple[Temperatures, Displacement]](lambda pair: pair[0])
         self._selection: SensorSelection | None = None
 
     def on_temperatures(self, sample: Temperatures) -> Iterable[Emission]:
         """Keep the sample if its displacement was measured with it."""
         measured = self.last(self.MEASURED)
         if measured is not None and measured.stamp == sample.stamp:
-            if self._samples and sample.stamp - self._samples[-1][0].stamp > PAUSE:
+            newest = self._samples.newest
+            if newest is not None and sample.stamp - newest[0].stamp > PAUSE:
                 self._samples.clear()
-            self._samples.append((sample, measured))
-            del self._samples[:-SAMPLES_MAX]
+            self._samples.add((sample, measured))
         return ()
 
     def renewed(self, step: int) -> 'tuple[SensorSelector, list[Emission]]':
@@ -148,7 +146,7 @@ class SensorSelector(Component[SensorSelectorConfig]):
                 'bag: none named, and no temperatures with a displacement of the same stamp '
                 'were received; name the bags of calibration runs'
             )
-        first, measured = self._samples[0]
+        first, measured = next(iter(self._samples))
         temperature = np.array([sample.temperature for sample, _ in self._samples])
         status = np.array([sample.status for sample, _ in self._samples])
         temperature[status != Status.OK] = np.nan

@@ -179,7 +179,7 @@ def test_positions_are_in_metres_and_radians(field, agent, poll):
     field.call(agent.lose(5, x1=20.0))
     polled = wait(poller, lambda polled: polled.readings[1] == pytest.approx(0.02))
     assert polled.facts['sequence_gaps'] == '1'
-    health = DeviceHealth(poller.device)
+    health = DeviceHealth(poller.device, interval=60.0)
     health.note(polled)
     assert health.health().values['axis E'] == polled.readings[5]
 
@@ -258,7 +258,7 @@ def test_what_is_no_value_is_missing_and_said_so(field, agent, poll):
         field.call(agent.observe(t1=text))
         polled = wait(poller, lambda polled, said=said: said in str(polled.readings[0]))
         assert len(polled.readings[0]) < 200
-    health = DeviceHealth(poller.device)
+    health = DeviceHealth(poller.device, interval=60.0)
     health.note(polled)
     assert health.health().level is Level.WARN
     field.call(agent.observe(t1='+2.15e1'))
@@ -276,7 +276,7 @@ def test_a_gap_in_the_sequence_is_counted_and_the_present_state_read_anew(
     polled = wait(poller, lambda polled: polled.facts.get('sequence_gaps') == '1')
     polled = wait(poller, reads(30.0))
     assert polled.facts['restarts'] == '0'
-    health = DeviceHealth(poller.device)
+    health = DeviceHealth(poller.device, interval=60.0)
     health.note(polled)
     assert health.health().values['sequence_gaps'] == '1'
 

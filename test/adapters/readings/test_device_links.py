@@ -5,6 +5,7 @@
 import asyncio
 import random
 import struct
+import threading
 import time
 
 import pytest
@@ -23,9 +24,10 @@ from fuzzycnc_ros.adapters.opcua import readings_link as opc_ua
 from fuzzycnc_ros.adapters.opcua import session as opcua_session
 from fuzzycnc_ros.adapters.readings import polling
 from fuzzycnc_ros.adapters.readings.device_file import read_devices
-from fuzzycnc_ros.adapters.readings.device_source import connect
+from fuzzycnc_ros.adapters.readings.device_source import DeviceHealth, connect
 from fuzzycnc_ros.adapters.readings.polling import TEXT_MAX, Poller
 from fuzzycnc_ros.ros.parameters import ParameterError
+from fuzzycnc_ros.runtime.component import Level
 
 pytestmark = pytest.mark.ros
 
@@ -339,3 +341,97 @@ def test_secured_server_with_credentials(field, poll, tmp_path, monkeypatch):
     # Without security the same server refuses the connection.
     plain = poll(OPC_UA, server, '{T1: ns=2;s=T1}')
     assert 'the server does not offer this connection' in wait(plain, lost).trouble
+
+
+class Dropping(OpcUaServer):
+    """A server that drops its clients on demand."""
+
+    async def drop(self) -> None:
+        """End all connections, without a word."""
+        for transport in list(self.server.iserver.asyncio_transports):
+            transport.abort()
+
+    async def forget(self) -> None:
+        """End all sessions; the connections stay."""
+        for client in list(self.server.bserver.clients):
+            await client.processor.session.close_session()
+
+
+def held(poller):
+    """Return what a poller holds: threads of the process, tasks, connections."""
+
+    async def count():
+        loop = asyncio.get_running_loop()
+        open_ones = [item for item in loop._connections if item[0].fileno() >= 0]
+        return len(asyncio.all_tasks()) - 1, len(open_ones), len(loop._connections)
+
+    found = asyncio.run_coroutine_threadsafe(count(), poller._loop).result(TIMEOUT)
+    return threading.active_count(), *found
+
+
+ENDED = {'drop': 'connection lost', 'forget': 'the server has ended the session (BadSession'}
+"""What is told of a client that was dropped."""
+
+
+@pytest.mark.parametrize('how', ['drop', 'forget'])
+@pytest.mark.parametrize('drops', [5, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.usefixtures('impatient')
+def test_sessions_that_are_dropped_again_and_again_leave_nothing(field, poll, how, drops):
+    server = field.add(Dropping({'T1': 0.5}))
+    poller = poll(OPC_UA, server, '{T1: "ns=2;s=T1"}')
+    stamps, before = [], None
+    for number in range(drops):
+        value = server.values['T1'] = number + 1.5
+        stamps.append(
+            wait(poller, lambda item, v=value: good(item) and item.readings == [v]).stamp
+        )
+        if number == 1:
+            before = held(poller)
+        field.call(getattr(server, how)())
+        gone = wait(poller, lost)
+        stamps.append(gone.stamp)
+        assert gone.trouble.startswith(ENDED[how])
+    value = server.values['T1'] = -1.5
+    # What comes after a loss is what the server holds then.
+    assert wait(poller, good).readings == [value]
+    assert stamps == sorted(stamps)
+    wait(poller, good)
+    assert held(poller) == before
+
+
+@pytest.mark.usefixtures('impatient')
+def test_answers_after_the_timeout_are_never_read_and_leave_nothing(field, poll):
+    server = field.add(OpcUaServer({'T1': 20.5}))
+    route = field.add(Route(server))
+    poller = poll(OPC_UA, route, '{T1: "ns=2;s=T1"}', timeout=0.4)
+    for _ in range(2):
+        wait(poller, good)
+    before = held(poller)
+    for value in (21.5, 22.5):
+        field.call(route.set('late'))
+        gone = wait(poller, lost)
+        assert gone.trouble == 'no answer within 0.4 s'
+        server.values['T1'] = value
+        wait(poller, lost)
+        field.call(route.set(''))
+        assert wait(poller, good).readings == [value]
+    wait(poller, good)
+    assert held(poller) == before
+
+
+def test_values_that_may_be_older_than_the_interval_are_said_to_be(field, poll):
+    server = field.add(OpcUaServer({'T1': 20.5}))
+    route = field.add(Route(server))
+    poller = poll(OPC_UA, route, '{T1: "ns=2;s=T1"}', timeout=30.0)
+    wait(poller, good)
+    health = DeviceHealth(poller._devices[0], interval=0.2)
+    route.delay = 0.3
+    field.call(route.set('late'))
+    polled = wait(poller, lambda item: good(item) and item.took >= route.delay)
+    health.note(polled)
+    told = health.news()
+    assert told.level is Level.WARN
+    assert 'longer than interval = 0.2 s, and its values may be as old' in told.message
+    field.call(route.set(''))
+    health.note(wait(poller, lambda item: good(item) and item.took < 0.2))
+    assert health.news().level is Level.OK

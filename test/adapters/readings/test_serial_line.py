@@ -64,7 +64,7 @@ class Line:
             )
         )
         devices = read_devices(path)
-        self.health = [DeviceHealth(device) for device in devices]
+        self.health = [DeviceHealth(device, interval=60.0) for device in devices]
         self.poller = Poller(devices, connect, time.monotonic_ns)
 
     def set(self, fault):

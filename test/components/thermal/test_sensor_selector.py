@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from benches.component_bench import Bench
 
+from fuzzycnc_ros.components.thermal import kept_samples
 from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector, SensorSelectorConfig
 from fuzzycnc_ros.core.thermal.fit import select_sensors
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
@@ -201,3 +202,13 @@ def test_restart_restores_the_selection():
     again.component.restore('sensor_selection', bench.records('sensor_selection')[0])
     assert again.health() == bench.health()
     assert again.emitted == []
+
+
+def test_a_run_of_too_many_samples_is_selected_from_as_a_whole(monkeypatch):
+    monkeypatch.setattr(kept_samples, 'SAMPLES_MAX', 60)
+    bench, run = bench_with_bags(), recordings()['T1']
+    give_run(bench, run, 100)
+    known = bench.component._present_run()
+    assert len(known.time) <= 60
+    np.testing.assert_allclose(known.time, run.time[0:100:2] - run.time[0], atol=1e-9)
+    assert bench.request('select_sensors', bag=[], clusters=0).success

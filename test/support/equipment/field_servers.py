@@ -200,7 +200,9 @@ class Route(LocalServer):
     fault : str
         `` passes on; `refuse` closes the port and all connections; `cut` passes on the first
         bytes of an answer and drops the connection; `hang` passes nothing on but stays open;
-        `garble` overturns every byte of an answer.
+        `garble` overturns every byte of an answer; `late` passes each answer on after `delay`.
+    delay : float
+        How long `late` keeps an answer [s].
     """
 
     CUT = 6
@@ -209,6 +211,7 @@ class Route(LocalServer):
         super().__init__()
         self._target = target
         self.fault = ''
+        self.delay = 1.0
         self.connections = 0
 
     async def set(self, fault: str) -> None:
@@ -237,6 +240,8 @@ class Route(LocalServer):
         while data := await reader.read(65536):
             if self.fault == 'hang':
                 continue
+            if answers and self.fault == 'late':
+                await asyncio.sleep(self.delay)
             if answers and self.fault == 'cut':
                 writer.write(data[: self.CUT])
                 await writer.drain()
