@@ -232,6 +232,7 @@ class Adviser:
         self._quickest = np.inf  # time of what keeps the aim so far [s]
         self._steps: dict[str, Callable[[], Remedy | None]] = {}
         self._tried: dict[tuple[float, PathMode | None], Judged] = {}  # with the program's feeds
+        self._likely = 2  # index of the path mode that may be best: the least rounding
         self._limits, self._machine, self._settings = limits, machine, settings
         self._moves = program_moves(program.blocks, before)
         self._path = ProgramPath(self._moves)
@@ -367,7 +368,7 @@ class Adviser:
 
     def _slower_mode(self) -> Remedy:
         number, share = self._fastest_of([(self._moves, mode) for mode in self._modes])
-        mode = self._modes[number]
+        mode, self._likely = self._modes[number], number
         judged = self._run(self._moves, share, mode)
         return self._remedy('lower acceleration, path mode', share, mode, judged)
 
@@ -448,16 +449,22 @@ class Adviser:
     def _fastest_of(
         self, tried: Sequence[tuple[ProgramMoves, PathMode | None]]
     ) -> tuple[int, float]:
-        """Return which moves with a path mode are best, and with which acceleration."""
-        best: tuple[int, float, Judged] | None = None
-        for number, (moves, mode) in enumerate(tried):
-            within = best is not None and best[2].error <= self._aim
-            longest = best[2].duration if best is not None and within else np.inf
-            for share, judged in self._ladder(moves, mode, longest):
-                if best is None or self._order(judged) < self._order(best[2]):
-                    best = number, share, judged
+        """Return which moves with a path mode are best, and with which acceleration.
+
+        The likely ones come first: the better what is known, the less of the others is measured.
+        """
+        best: tuple[tuple[bool, float], int, float] | None = None
+        for number in sorted(range(len(tried)), key=lambda number: number != self._likely):
+            late, longest = (True, np.inf) if best is None else best[0]
+            found = [
+                (self._order(judged), number, share)
+                for share, judged in self._ladder(*tried[number], np.inf if late else longest)
+            ]
+            first = min(found, key=lambda one: one[0], default=None)
+            if first is not None and (best is None or first[:2] < best[:2]):
+                best = first
         assert best is not None
-        return best[:2]
+        return best[1:]
 
     def _ladder(
         self, moves: ProgramMoves, mode: PathMode | None, longest: float
