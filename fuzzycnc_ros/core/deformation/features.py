@@ -86,18 +86,9 @@ def load(depth: Quantity, step: Quantity, thickness: Quantity) -> Quantity:
 
 
 def _physical(x: Array) -> Array:
-    turn = np.radians(x[:, 0])
+    sine, cosine = portable.sin_cos(np.radians(x[:, 0]))
     depth, kind, step, thickness = x[:, 1], x[:, 2], x[:, 3], x[:, 4]
-    return np.column_stack(
-        [
-            portable.cos(turn),
-            portable.sin(turn),
-            depth / thickness,
-            1.0 / thickness,
-            kind,
-            1.0 / step,
-        ]
-    )
+    return np.column_stack([cosine, sine, depth / thickness, 1.0 / thickness, kind, 1.0 / step])
 
 
 def _physical_one(x: Sequence[float]) -> Sequence[float]:

@@ -266,12 +266,8 @@ class Primitive:
         if self.centre is None:
             return np.asarray(start + share * (end - start))
         arm = start - self.centre
-        turned = share * self.turn
-        points = (
-            self.centre
-            + portable.cos(turned) * arm
-            + portable.sin(turned) * np.array([-arm[1], arm[0]])
-        )
+        sine, cosine = portable.sin_cos(share * self.turn)
+        points = self.centre + cosine * arm + sine * np.array([-arm[1], arm[0]])
         points[-1] = end
         return np.asarray(points)
 

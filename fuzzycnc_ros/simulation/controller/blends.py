@@ -170,8 +170,8 @@ class PlannedPart:
     def plain_acceleration(self) -> float:
         """Return what is left beside kinks and overlaps [m/s^2]."""
         kink = self.kink_in if self.kink_in > self.kink_out else self.kink_out
-        half = 0.5 if self.overlapped or self.end == OVERLAP else 1.0
-        return self.rise * (1.0 - kink) * half
+        free = self.rise * (1.0 - kink)
+        return 0.5 * free if self.overlapped or self.end == OVERLAP else free
 
     def asked(self) -> float:
         """Return the speed that feed and axes let be [m/s]."""

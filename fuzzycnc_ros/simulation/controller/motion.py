@@ -30,6 +30,10 @@ _INSTANT = 1e-12
 """Time that counts as none [s]."""
 _NEAR = 3
 """Periods before the end of a segment that are gone through one by one."""
+_FAR = _NEAR + 2.9
+"""Periods before its end from which on some may be gone through together [-]."""
+_SURE = 1.0 + 1e-9
+"""Factor beyond what numbers leave unsure [-]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,24 +107,23 @@ class _Run:
 
     Attributes
     ----------
-    segment, count, way, speed, rise : list
-        Of entries: index of a segment, periods, and way and speed before them [m, m/s], and
-        acceleration [m/s^2]; a single period has its way alone.
+    segment, way : list
+        Of entries: index of a segment, and its way at the end of a period [m].
+    leaps : list of tuple
+        Entries that stand for many periods: index of the entry, periods, speed before them [m/s],
+        acceleration [m/s^2]; their way is that before them.
     early : list of tuple
-        Periods in which a segment and the one before it move: number of the period, index of the
-        one before, its way [m].
+        Periods in which a segment and the one before it move: index of the entry, index of the one
+        before, its way [m].
     """
 
     def __init__(self, plan: Plan, rest: list[float], limits: ControllerLimits) -> None:
         self._plan, self._found = plan, plan.found
         self._period, self._ramp_time = limits.period, limits.ramp_time
         self.segment: list[int] = []
-        self.count: list[int] = []
         self.way: list[float] = []
-        self.speed: list[float] = []
-        self.rise: list[float] = []
+        self.leaps: list[tuple[int, int, float, float]] = []
         self.early: list[tuple[int, int, float]] = []
-        self._number = 0
         for one in self._found:
             one.gain, one.top = one.acceleration(), min(one.asked(), limits.path_velocity)
         for one, after in pairwise(self._found):
@@ -150,28 +153,33 @@ class _Run:
         beyond = found[index + 2] if index + 2 < len(found) else None
         if index or one.blend is not None:  # when the first one starts, its end is not known
             self._start(one)
+        period, segments, ways = self._period, self.segment, self.way
+        far = _FAR * period
+        overlaps = one.end == OVERLAP and after is not None
         done = False
         while not done:
             if one.split:
                 one.progress = one.length
                 if after is not None:
                     if one.end == TANGENT:
-                        after.cycle = self._period - one.cycle
+                        after.cycle = period - one.cycle
                         after.speed = one.term_speed
                     self._step(after, beyond)
                     self._note(index + 1, after)
                 else:
                     self._note(index, one)
                 return
-            self._leap(index, one, after)
-            one.cycle = self._period
+            if one.on_brake or one.length - one.progress >= far * one.speed:
+                self._leap(index, one, after)
+            one.cycle = period
             done = self._step(one, after)
-            if after is not None and self._overlaps(one):
+            if overlaps and after is not None and self._overlaps(one):
                 self._step(after, None)
-                self.early.append((self._number, index, one.progress))
+                self.early.append((len(ways), index, one.progress))
                 self._note(index + 1, after)
             else:
-                self._note(index, one)
+                segments.append(index)
+                ways.append(one.progress)
 
     def _start(self, one: PlannedPart) -> None:
         """Choose whether a segment changes its speed evenly."""
@@ -183,37 +191,24 @@ class _Run:
     def _note(self, index: int, one: PlannedPart) -> None:
         """Note where a segment is at the end of a period."""
         self.segment.append(index)
-        self.count.append(1)
         self.way.append(one.progress)
-        self.speed.append(0.0)
-        self.rise.append(0.0)
-        self._number += 1
 
     def _enter(self, index: int, one: PlannedPart, count: int, rise: float) -> None:
         """Note how a segment goes on over many periods."""
-        self.segment.append(index)
-        self.count.append(count)
-        self.way.append(one.progress)
-        self.speed.append(one.speed)
-        self.rise.append(rise)
-        self._number += count
+        self.leaps.append((len(self.way), count, one.speed, rise))
+        self._note(index, one)
 
     def _overlaps(self, one: PlannedPart) -> bool:
-        if one.end == OVERLAP and one.on_brake and one.speed < one.overlaps:
+        if one.on_brake and one.speed < one.overlaps:
             one.overlapping = True
         return one.overlapping
-
-    def _final(self, one: PlannedPart, after: PlannedPart | None) -> float:
-        """Return the speed that its end shall have [m/s]."""
-        if one.end != TANGENT or after is None:
-            return 0.0
-        return min(one.final, one.top, after.top)
 
     def _step(self, one: PlannedPart, after: PlannedPart | None) -> bool:
         """Run a segment for its part of a period; return whether it rests at its end."""
         cycle, speed, rise = one.cycle, one.speed, one.gain
-        final = self._final(one, after)
-        left = one.length - one.progress
+        length, way = one.length, one.progress
+        final = _final(one, after)
+        left = length - way
         if one.ramp and final >= _PACE:
             mean = 0.5 * (speed + final)
             time = max(left / mean, 1e-16)
@@ -222,7 +217,7 @@ class _Run:
             ramp = 0.5 * rise * cycle
             square = final * final + rise * (2.0 * left - speed * cycle) + ramp * ramp
             wanted = sqrt(square) - ramp if square > ramp * ramp else -ramp
-            gain = (min(wanted, one.top) - speed) / (cycle or _INSTANT)
+            gain = ((wanted if wanted < one.top else one.top) - speed) / (cycle or _INSTANT)
         if gain > rise:
             gain = rise
         elif gain < -rise:
@@ -231,18 +226,22 @@ class _Run:
         if now < 0.0:
             now = 0.0
             if left < speed * cycle:
-                one.progress = one.length
+                way = length
         else:
-            way = one.progress + 0.5 * (now + speed) * cycle
-            one.progress = way if way < one.length else one.length
-        one.speed = now
+            way += 0.5 * (now + speed) * cycle
+            if not way < length:
+                way = length
+        one.progress, one.speed = way, now
         one.on_brake = gain < 0.0 and abs(wanted - now) < _PACE
-        return self._near_end(one, final)
-
-    def _near_end(self, one: PlannedPart, final: float) -> bool:
-        """Split the next period where the segment ends in it; return whether it ended at rest."""
+        left = length - way
         period = one.cycle = self._period
-        left = one.length - one.progress
+        faster = now if now > final else final
+        if left > _SURE * faster * period and left > _SURE * (_PLACE + _DIGITS * length):
+            return False  # the end is farther than a period, whatever the speed does
+        return self._near_end(one, left, final)
+
+    def _near_end(self, one: PlannedPart, left: float, final: float) -> bool:
+        """Split the next period where the segment ends in it; return whether it ended at rest."""
         if left <= _PLACE + _DIGITS * one.length:
             one.progress = one.length
             one.split, one.cycle, one.term_speed = True, 0.0, one.speed
@@ -265,7 +264,7 @@ class _Run:
         if time < _INSTANT:
             one.progress = one.length
             time = 0.0
-        if time < period and not (one.split and time > 0.0):
+        if time < self._period and not (one.split and time > 0.0):
             one.split, one.cycle, one.term_speed = True, time, final
         return False
 
@@ -274,8 +273,8 @@ class _Run:
         if one.ramp or one.overlapping or one.split:
             return
         period, rise, speed = self._period, one.gain, one.speed
-        final = self._final(one, after)
         left = one.length - one.progress
+        final = _final(one, after)
         top, gain = one.top, rise * period
         spare = 2.0 * rise * left + final * final - speed * speed  # until it has to brake
         if speed < top - gain and spare > 0.0:
@@ -304,18 +303,35 @@ class _Run:
         one.speed = speed + gain * count
 
 
+def _final(one: PlannedPart, after: PlannedPart | None) -> float:
+    """Return the speed that the end of a segment shall have [m/s]."""
+    if one.end != TANGENT or after is None:
+        return 0.0
+    top = one.top if one.top < after.top else after.top
+    return one.final if one.final < top else top
+
+
 def _evaluated(moves: Moves, plan: Plan, run: _Run, period: float) -> tuple[Array, Array]:
     """Return positions and places at the ends of all periods."""
-    count = np.array(run.count)
-    entry = np.repeat(np.arange(len(count)), count)
-    since = np.arange(len(entry)) - np.repeat(np.cumsum(count) - count, count) + 1.0
-    since = np.where(count[entry] == 1, 0.0, since * period)
-    way = np.array(run.way)[entry] + np.array(run.speed)[entry] * since
-    way += 0.5 * np.array(run.rise)[entry] * since**2
+    way = np.array(run.way)
+    entry = np.arange(len(way))
+    if run.leaps:
+        which, count, speed, rise = (np.array(part) for part in zip(*run.leaps, strict=True))
+        periods = np.ones(len(way), dtype=np.intp)
+        periods[which] = count
+        first = np.cumsum(periods) - periods  # period of each entry
+        entry, way = np.repeat(entry, periods), np.repeat(way, periods)
+        leap = np.repeat(np.arange(len(which)), count)
+        inside = np.arange(len(leap)) - np.repeat(np.cumsum(count) - count, count)
+        since = (inside + 1.0) * period
+        number = first[which][leap] + inside
+        way[number] += speed[leap] * since
+        way[number] += 0.5 * rise[leap] * since**2
     points = _Points(moves, plan)
     position, place = points.at(np.array(run.segment, dtype=np.intp)[entry], way)
     if run.early:
         number, before, gone = map(np.array, zip(*run.early, strict=True))
+        number = np.searchsorted(entry, number)
         here, _ = points.at(before, gone)
         there, _ = points.at(before, points.length[before])
         position[number] += here - there
@@ -361,8 +377,8 @@ class _Points:
 
     def _rounded(self, segment: NDArray[np.intp], way: Array) -> Array:
         """Return points of arcs between moves."""
-        used, index = np.unique(segment, return_inverse=True)
-        arcs = [arc for one in used.tolist() if (arc := self._plan.found[one].blend) is not None]
+        arcs = [one.blend for one in self._plan.found if one.blend is not None]
+        index = (np.cumsum(self._blend) - 1)[segment]
         centre, start, end = (
             np.array([getattr(arc, name) for arc in arcs])[index]
             for name in ('centre', 'start', 'end')

@@ -96,9 +96,8 @@ class Moves:
         if bent.any():
             one, at = index[bent], share[bent]
             angle = self.sweep[one, np.newaxis] * at
-            turned = (
-                portable.cos(angle) * self.radial[one] + portable.sin(angle) * self.across[one]
-            )
+            sine, cosine = portable.sin_cos(angle)
+            turned = cosine * self.radial[one] + sine * self.across[one]
             grown = 1.0 + self.growth[one, np.newaxis] * at
             found[bent] = self.centre[one] + grown * turned + self.rise[one] * at
         return np.asarray(found)
@@ -110,7 +109,7 @@ class Moves:
         if bent.any():
             one, at = index[bent], share[bent, np.newaxis]
             sweep, growth = self.sweep[one, np.newaxis], self.growth[one, np.newaxis]
-            cosine, sine = portable.cos(sweep * at), portable.sin(sweep * at)
+            sine, cosine = portable.sin_cos(sweep * at)
             radial, across = self.radial[one], self.across[one]
             along[bent] = (
                 growth * (cosine * radial + sine * across)

@@ -16,8 +16,11 @@ from fuzzycnc_ros.core.arrays import Array
 _NEIGHBOURS = 3
 """Vertices looked up for each sample; the segments at all but the last are tried."""
 
-_BLOCK = 2_000_000
-"""Segments searched in one go; bounds the memory."""
+_BLOCK = 32_768
+"""Segments searched in one go, as many as stay in the cache of a processor."""
+
+_GROUP = 16
+"""Segments that are passed over together where all of them are too far away."""
 
 
 @dataclass(frozen=True)
@@ -140,6 +143,11 @@ class Contour:
         self._vertex_arc *= self.length / self._vertex_arc[-1]
         self._longest = float(np.sqrt(self._square.max()))
         self._tree = cKDTree(self._vertices)
+        # balls around groups of segments that follow each other
+        first = np.arange(0, len(self._step), _GROUP)[:, np.newaxis]
+        group = self._vertices[np.minimum(first + np.arange(_GROUP + 1), len(self._step))]
+        self._middle = 0.5 * (group.min(axis=1) + group.max(axis=1))
+        self._radius = np.linalg.norm(group - self._middle[:, np.newaxis], axis=2).max(axis=1)
 
     def arc_length(self, parameter: ArrayLike) -> Array:
         """Return the arc length at parameters of the path [m]; outside, that of the ends."""
@@ -197,7 +205,7 @@ class Contour:
         square, fraction, segment, proven = self._near_vertices(place, low, high)
         rest = np.flatnonzero(~proven)
         square[rest], fraction[rest], segment[rest] = self._whole_window(
-            place[rest], low[rest], high[rest]
+            place[rest], low[rest], high[rest], square[rest]
         )
         span = np.diff(self._vertex_arc)[segment]
         return ContourDistance(np.sqrt(square), self._vertex_arc[segment] + fraction * span)
@@ -223,23 +231,30 @@ class Contour:
         return square[row, best], fraction[row, best], candidate[row, best], proven
 
     def _whole_window(
-        self, place: Array, low: NDArray[np.intp], high: NDArray[np.intp]
+        self, place: Array, low: NDArray[np.intp], high: NDArray[np.intp], known: Array
     ) -> tuple[Array, Array, NDArray[np.intp]]:
-        """Search every segment of each sample's window."""
+        """Search each sample's window for what is no farther than the square that is known."""
         square = np.empty(len(place))
         fraction = np.empty(len(place))
         segment = np.empty(len(place), dtype=np.intp)
-        size = high - low
-        block = np.cumsum(size) // _BLOCK
+        reach = (1.0 + 1e-9) * np.sqrt(known)
+        block = np.cumsum(high - low) // _BLOCK
         for rows in np.split(np.arange(len(place)), np.flatnonzero(np.diff(block)) + 1):
             if not len(rows):
                 continue
-            start = np.cumsum(size[rows]) - size[rows]
-            owner = np.repeat(rows, size[rows])
-            candidate = np.arange(len(owner)) + np.repeat(low[rows] - start, size[rows])
-            found, part = self._to_segment(place[owner], candidate)
+            owner, group = _counted(rows, low[rows] // _GROUP, (high[rows] - 1) // _GROUP + 1)
+            away = place.take(owner, axis=0) - self._middle.take(group, axis=0)
+            within = self._radius[group] + reach[owner]
+            near = np.einsum('ij,ij->i', away, away) <= within * within * (1.0 + 1e-9)
+            owner, group = owner[near], group[near]
+            begin = np.maximum(group * _GROUP, low[owner])
+            owner, candidate = _counted(
+                owner, begin, np.minimum(group * _GROUP + _GROUP, high[owner])
+            )
+            found, part = self._to_segment(place.take(owner, axis=0), candidate)
+            start = np.searchsorted(owner, rows)
             square[rows] = np.minimum.reduceat(found, start)
-            hit = np.flatnonzero(found == np.repeat(square[rows], size[rows]))
+            hit = np.flatnonzero(found == square[owner])
             first = hit[np.searchsorted(hit, start)]
             fraction[rows] = part[first]
             segment[rows] = candidate[first]
@@ -247,12 +262,22 @@ class Contour:
 
     def _to_segment(self, place: Array, segment: NDArray[np.intp]) -> tuple[Array, Array]:
         """Return the squared distance to segments and where along them it is taken, 0 to 1."""
-        away = place - self._vertices[segment]
-        step = self._step[segment]
-        along = np.einsum('...i,...i->...', away, step) / self._square[segment]
-        along = np.clip(along, 0.0, 1.0)
-        away = away - along[..., None] * step
+        away = place - self._vertices.take(segment, axis=0)
+        step = self._step.take(segment, axis=0)
+        along = np.einsum('...i,...i->...', away, step) / self._square.take(segment)
+        along = np.minimum(np.maximum(along, 0.0), 1.0)
+        step *= along[..., None]
+        away -= step
         return np.einsum('...i,...i->...', away, away), along
+
+
+def _counted(
+    owner: NDArray[np.intp], low: NDArray[np.intp], high: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return owners and numbers, from low to high of each owner, one owner after the other."""
+    size = high - low
+    number = np.arange(int(size.sum())) + np.repeat(low - (np.cumsum(size) - size), size)
+    return np.repeat(owner, size), number
 
 
 def _arc_length(points: Array) -> Array:

@@ -287,7 +287,8 @@ def identify_contour_constant(
     # the lag dies out within ten time constants of the position loop
     lead = max(2.0 * turn, 10.0 * machine.delay)
     angle = speed / radius * np.arange(0.0, lead + turn, machine.interpolation_period)
-    circle = radius * np.column_stack([portable.cos(angle), portable.sin(angle)])
+    sine, cosine = portable.sin_cos(angle)
+    circle = radius * np.column_stack([cosine, sine])
     driven = ContouringAxes(circle[0], machine).follow(circle)
     last = driven[round(lead / machine.interpolation_period) :]
     return circle_contour_constant(last, [0.0, 0.0], radius, speed)

@@ -8,7 +8,7 @@ with another path mode, with scheduled feeds, and with mixtures of these.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -231,6 +231,8 @@ class Adviser:
         self._program, self._tolerance, self._units = program, tolerance, units
         self._quickest = np.inf  # time of what keeps the aim so far [s]
         self._steps: dict[str, Callable[[], Remedy | None]] = {}
+        self._tried: dict[tuple[float, PathMode | None], Judged] = {}  # with the program's feeds
+        self._likely = 2  # index of the path mode that may be best: the least rounding
         self._limits, self._machine, self._settings = limits, machine, settings
         self._moves = program_moves(program.blocks, before)
         self._path = ProgramPath(self._moves)
@@ -305,16 +307,26 @@ class Adviser:
             self._aim = usual
         return None if found is None or found.sets_the_same(remedy) else found
 
-    def _run(
-        self, moves: ProgramMoves, share: float, mode: PathMode | None, deviation: bool = True
-    ) -> Judged:
+    def _run(self, moves: ProgramMoves, share: float, mode: PathMode | None) -> Judged:
         """Judge moves with a share of the acceleration and a path mode."""
         moves = moves if mode is None else with_mode(moves, mode)
-        return self._path.run(moves, self._slowed(share), self._machine, deviation)
+        return self._path.run(moves, self._slowed(share), self._machine)
 
-    def _try(self, moves: ProgramMoves, share: float, mode: PathMode | None) -> Judged:
-        """Judge moves without the deviation of the commands, which takes a third of the time."""
-        return self._run(moves, share, mode, deviation=False)
+    def _try(
+        self, moves: ProgramMoves, share: float, mode: PathMode | None, longest: float = np.inf
+    ) -> Judged | None:
+        """Judge moves without the deviation of the commands, which takes a third of the time.
+
+        None if they take longer than anybody wants.
+        """
+        known = self._tried.get((share, mode)) if moves is self._moves else None
+        if known is not None:
+            return known if known.duration <= longest else None
+        moved = moves if mode is None else with_mode(moves, mode)
+        judged = self._path.run_within(longest, moved, self._slowed(share), self._machine)
+        if moves is self._moves and judged is not None:
+            self._tried[share, mode] = judged
+        return judged
 
     def _slowed(self, share: float) -> ControllerLimits:
         most = self._limits.acceleration
@@ -342,18 +354,21 @@ class Adviser:
         return self._remedy('acceleration of tolerance / C', share, None, judged)
 
     def _slower(self) -> Remedy:
-        share, _ = self._fastest(self._moves, None)
+        _, share = self._fastest_of([(self._moves, None)])
         judged = self._run(self._moves, share, None)
         return self._remedy('lower acceleration', share, None, judged)
 
     def _other_mode(self) -> Remedy:
         tried = [(mode, self._try(self._moves, 1.0, mode)) for mode in self._modes]
-        mode, _ = min(tried, key=lambda one: self._order(one[1]))
+        mode, _ = min(
+            ((mode, judged) for mode, judged in tried if judged is not None),
+            key=lambda one: self._order(one[1]),
+        )
         return self._remedy('path mode', 1.0, mode, self._run(self._moves, 1.0, mode))
 
     def _slower_mode(self) -> Remedy:
-        tried = [(mode, *self._fastest(self._moves, mode)) for mode in self._modes]
-        mode, share, _ = min(tried, key=lambda one: self._order(one[2]))
+        number, share = self._fastest_of([(self._moves, mode) for mode in self._modes])
+        mode, self._likely = self._modes[number], number
         judged = self._run(self._moves, share, mode)
         return self._remedy('lower acceleration, path mode', share, mode, judged)
 
@@ -363,11 +378,12 @@ class Adviser:
         return self._remedy('scheduled feeds', 1.0, None, judged, text)
 
     def _scheduled_mix(self) -> Remedy:
-        found = []
-        for mode in self._modes:
-            moves, text = self._schedule(replace(self._settings, blend=mode.rounding))
-            found.append((*self._fastest(moves, mode), moves, mode, text))
-        share, _, moves, mode, text = min(found, key=lambda one: self._order(one[1]))
+        found = [
+            self._schedule(replace(self._settings, blend=mode.rounding)) for mode in self._modes
+        ]
+        tried = [(moves, mode) for (moves, _), mode in zip(found, self._modes, strict=True)]
+        number, share = self._fastest_of(tried)
+        (moves, text), mode = found[number], self._modes[number]
         judged = self._run(moves, share, mode)
         name = 'scheduled feeds, lower acceleration, path mode'
         return self._remedy(name, share, mode, judged, text)
@@ -430,35 +446,57 @@ class Adviser:
         least = 2e-3 * 1e-3 / 60.0
         return write_program(program, np.where(feeds < least, least, feeds))
 
-    def _fastest(self, moves: ProgramMoves, mode: PathMode | None) -> tuple[float, Judged]:
-        """Return the largest acceleration that keeps the aim, of a ladder and in between."""
-        best = 1.0, self._try(moves, 1.0, mode)
-        if best[1].error <= self._aim:
-            return best
+    def _fastest_of(
+        self, tried: Sequence[tuple[ProgramMoves, PathMode | None]]
+    ) -> tuple[int, float]:
+        """Return which moves with a path mode are best, and with which acceleration.
 
-        def kept(share: float) -> bool:
-            nonlocal best
-            judged = self._try(moves, share, mode)
-            if self._order(judged) < self._order(best[1]):
-                best = share, judged
-            return judged.error <= self._aim
+        The likely ones come first: the better what is known, the less of the others is measured.
+        """
+        best: tuple[tuple[bool, float], int, float] | None = None
+        for number in sorted(range(len(tried)), key=lambda number: number != self._likely):
+            late, longest = (True, np.inf) if best is None else best[0]
+            found = [
+                (self._order(judged), number, share)
+                for share, judged in self._ladder(*tried[number], np.inf if late else longest)
+            ]
+            first = min(found, key=lambda one: one[0], default=None)
+            if first is not None and (best is None or first[:2] < best[:2]):
+                best = first
+        assert best is not None
+        return best[1:]
 
+    def _ladder(
+        self, moves: ProgramMoves, mode: PathMode | None, longest: float
+    ) -> Iterator[tuple[float, Judged]]:
+        """Look for the largest acceleration that keeps the aim, of a ladder and in between.
+
+        Time rises as the acceleration falls, so that below one that takes longer than wanted
+        nothing is looked for.  What was judged is yielded.
+        """
+        kept = False
+
+        def known(share: float) -> Iterator[tuple[float, Judged]]:
+            nonlocal kept
+            judged = self._try(moves, share, mode, longest)
+            kept = judged is None or judged.error <= self._aim
+            if judged is not None:
+                yield share, judged
+
+        yield from known(1.0)
+        if kept:
+            return
         low, high = 0, len(LADDER)
         while low < high:
             middle = (low + high) // 2
-            if kept(float(LADDER[middle])):
-                high = middle
-            else:
-                low = middle + 1
+            yield from known(float(LADDER[middle]))
+            low, high = (low, middle) if kept else (middle + 1, high)
         if 0 < low < len(LADDER):
             beyond, within = float(LADDER[low - 1]), float(LADDER[low])
             for _ in range(FINER):
-                middle_share = float(np.sqrt(beyond * within))
-                if kept(middle_share):
-                    within = middle_share
-                else:
-                    beyond = middle_share
-        return best
+                between = float(np.sqrt(beyond * within))
+                yield from known(between)
+                beyond, within = (beyond, between) if kept else (between, within)
 
     def _order(self, judged: Judged) -> tuple[bool, float]:
         kept = judged.error <= self._aim

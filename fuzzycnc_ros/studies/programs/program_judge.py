@@ -213,11 +213,7 @@ class ProgramPath:
         return [Commanded(cut, place, period * (len(cut) - 1))]
 
     def run(
-        self,
-        moves: ProgramMoves,
-        limits: ControllerLimits,
-        machine: ContouringConfig,
-        deviation: bool = True,
+        self, moves: ProgramMoves, limits: ControllerLimits, machine: ContouringConfig
     ) -> Judged:
         """Simulate a program of the same path on a controller, and judge it.
 
@@ -229,11 +225,24 @@ class ProgramPath:
             Of the controller.
         machine : ContouringConfig
             Lags of the axes.
-        deviation : bool
-            Whether the commands are measured too; 0 without.
+        """
+        return self.judge(simulate(moves, limits), machine)
+
+    def run_within(
+        self,
+        longest: float,
+        moves: ProgramMoves,
+        limits: ControllerLimits,
+        machine: ContouringConfig,
+    ) -> Judged | None:
+        """Do what `run` does, without deviations, for a program that takes a time at most.
+
+        None if it takes longer than that [s]; to measure errors takes most of the time.
         """
         commanded = simulate(moves, limits)
-        return self._figures(self._courses(commanded, machine, asked=deviation), commanded)
+        if _time(commanded) > longest:
+            return None
+        return self.errors(commanded, machine).judged
 
 
 def _time(commanded: Sequence[Commanded]) -> float:
@@ -268,7 +277,7 @@ def _course(
     move = np.clip(np.searchsorted(edge, error.arc_length), 0, len(run) - 1)
     beside = _beside_peaks(kept, np.where(run.rapid[move], 0.0, error.distance))
     more = contour.distance(axes[beside], delayed[beside], reach)
-    order = np.argsort(np.append(kept, beside))
+    order = np.argsort(np.append(kept, beside), kind='stable')  # quick where two parts are sorted
     kept = np.append(kept, beside)[order]
     distance = np.append(error.distance, more.distance)[order]
     nearest = np.append(error.arc_length, more.arc_length)[order]
@@ -296,11 +305,12 @@ def _course(
 
 def _beside_peaks(kept: NDArray[np.intp], error: Array) -> NDArray[np.intp]:
     """Return the samples that were left out on both sides of those with the largest errors."""
-    most = np.argsort(error)[-_PEAKS:]
-    low = kept[np.maximum(most - 1, 0)]
-    high = kept[np.minimum(most + 1, len(kept) - 1)]
-    beside = [np.arange(begin, end) for begin, end in zip(low, high, strict=True)]
-    return np.setdiff1d(np.concatenate(beside), kept)
+    count = min(_PEAKS, len(kept))
+    most = np.argpartition(error, len(kept) - count)[-count:]
+    gap = np.unique(np.append(most - 1, most))
+    gap = gap[(gap >= 0) & (gap < len(kept) - 1)]
+    left_out = [np.arange(kept[one] + 1, kept[one + 1]) for one in gap.tolist()]
+    return np.concatenate([kept[:0], *left_out])
 
 
 def _tracked(run: Moves, contour: Contour, position: Array) -> Array:

@@ -176,8 +176,9 @@ class ArcSegment(Segment):
         )
         radius = start + (end - start) * share
         point = np.empty((count + 1, 3))
-        point[:, first] = self.centre[0] + radius * portable.cos(angle + self.sweep * share)
-        point[:, second] = self.centre[1] + radius * portable.sin(angle + self.sweep * share)
+        sine, cosine = portable.sin_cos(angle + self.sweep * share)
+        point[:, first] = self.centre[0] + radius * cosine
+        point[:, second] = self.centre[1] + radius * sine
         point[:, across] = self.start[across] + (self.end[across] - self.start[across]) * share
         point[0], point[-1] = self.start, self.end  # to the last digit
         return point

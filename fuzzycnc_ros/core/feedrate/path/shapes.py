@@ -501,7 +501,7 @@ def _arc_derivatives(number: Array, share: Array) -> tuple[Array, Array, Array]:
     radius, change, angle, sweep, height, rise = number[:, 5:11].T
     row = np.arange(len(number))
     turned = angle + sweep * share
-    cosine, sine = portable.cos(turned), portable.sin(turned)
+    sine, cosine = portable.sin_cos(turned)
     distance = radius + change * share
     point, first, second = (np.zeros((len(number), 3)) for _ in range(3))
     point[row, axes[:, 0]] = number[:, 3] + distance * cosine
