@@ -162,6 +162,11 @@ class Scales(NamedTuple):
     change: float = 0.25
 
     @property
+    def drift_variance(self) -> float:
+        """Variance of the drift [m^2]."""
+        return self.drift * self.drift
+
+    @property
     def kept(self) -> float:
         """Correlation rho of the weights of a run with those of the run before [-]."""
         return float(1.0 / np.sqrt(1.0 + self.change * self.change))
@@ -239,7 +244,7 @@ class Posterior:
         self._doubted: Probe | None = None
         self._square, self._squares = float(TRUST), TRUST
         self._mean: Array = np.zeros(basis.features + 1)
-        self._covariance: Array = np.diag(np.append(self._prior(scales), scales.drift**2))
+        self._covariance: Array = np.diag(np.append(self._prior(scales), scales.drift_variance))
 
     @property
     def due(self) -> bool:
@@ -258,7 +263,7 @@ class Posterior:
         self._mean[-1] *= kept
         self._covariance[-1] *= kept
         self._covariance[:, -1] *= kept
-        self._covariance[-1, -1] += (1.0 - kept * kept) * self.scales.drift**2
+        self._covariance[-1, -1] += (1.0 - kept * kept) * self.scales.drift_variance
 
     def predict(self, features: Array) -> tuple[float, float]:
         """Return the expected error and its standard deviation [m].
@@ -314,7 +319,7 @@ class Posterior:
         self._doubted = probe
         expected, deviation = self.predict(features)
         excess = abs(error - expected) / (WIDTH * deviation) - 1.0
-        variance = deviation**2 * self._squares / self._square  # as the filter has it
+        variance = deviation * deviation * self._squares / self._square  # as the filter has it
         self._take(probe._replace(noise=float(np.sqrt(excess * variance))))
         return Verdict.REJECTED
 
@@ -364,7 +369,8 @@ class Posterior:
 
     def _probable(self, probe: Probe) -> bool:
         expected, deviation = self.predict(probe.features)
-        return abs(probe.error - expected) <= GATE * float(np.hypot(deviation, probe.noise))
+        off = probe.error - expected
+        return off * off <= GATE * GATE * (deviation * deviation + probe.noise * probe.noise)
 
     def _believe(self, probe: Probe) -> None:
         """Learn from a probe, and let the band follow how far it was off.
@@ -372,8 +378,9 @@ class Posterior:
         Scales that fit the last probes promise more than the next one keeps.
         """
         expected, deviation = self.predict(probe.features)
-        square = (probe.error - expected) ** 2 / (deviation**2 + probe.noise**2)
-        self._square += min(square, GATE**2) * self._square / self._squares
+        off = probe.error - expected
+        square = off * off / (deviation * deviation + probe.noise * probe.noise)
+        self._square += min(square, GATE * GATE) * self._square / self._squares
         self._squares += 1
         self._take(probe)
 
@@ -399,7 +406,7 @@ class Posterior:
         self._covariance[-1] = self._covariance[:, -1] = 0.0
         at = np.arange(self._basis.features)
         self._covariance[at, at] += (1.0 - kept * kept) * self._prior(self.scales)
-        self._covariance[-1, -1] = self.scales.drift**2
+        self._covariance[-1, -1] = self.scales.drift_variance
 
     def _rebuild(self) -> None:
         """Learn all probes of the window anew with the scales in force."""
@@ -417,7 +424,7 @@ class Posterior:
         run, mean, covariance = self._base or (first, np.zeros(size), None)
         whole = np.zeros((size + 1, size + 1))
         whole[:-1, :-1] = np.diag(self._prior(self.scales)) if covariance is None else covariance
-        whole[-1, -1] = self.scales.drift**2
+        whole[-1, -1] = self.scales.drift_variance
         self._time = 0.0
         return run, np.append(mean, 0.0), whole
 
@@ -451,7 +458,7 @@ class Posterior:
         size, rises = self._basis.features, self._basis.of_rises
         units = np.full(size, 1.0 / (RISE_UNIT * np.sqrt(rises)))
         if size > rises:
-            fastest = np.repeat([self._fastest, self._fastest**2], len(SPINDLE_LAGS))
+            fastest = np.repeat([self._fastest, self._fastest * self._fastest], len(SPINDLE_LAGS))
             units[rises:] = 1.0 / (fastest * np.sqrt(size - rises))
         return units
 
@@ -504,15 +511,17 @@ class _Evidence:
     def surprise(self, scales: Scales) -> float:
         """Return the negative logarithm of likelihood times prior, up to a constant."""
         rho = portable.whole_powers(scales.kept, int(self._apart.max() + self._since.max()))
-        weights = scales.rise**2 * self._of_rises + scales.speed**2 * self._of_speeds
+        weights = scales.rise * scales.rise * self._of_rises
+        weights += scales.speed * scales.speed * self._of_speeds
         error = self._error - rho[self._since] * self._known
         if self._of_base is not None:
             old = rho[np.minimum(self._since[:, np.newaxis], self._since)] ** 2
             weights = old * self._of_base + (1.0 - old) * weights
-        covariance = rho[self._apart] * weights + scales.drift**2 * self._drift + self._noise
+        covariance = rho[self._apart] * weights + scales.drift_variance * self._drift + self._noise
         total = 0.0
         for value, median, breadth in zip(scales, EXPECTED, BREADTH, strict=True):
-            total += (portable.log(value / median) / breadth) ** 2
+            off = portable.log(value / median) / breadth
+            total += off * off
         return 0.5 * (total + _improbability(covariance, error))
 
 

@@ -3,11 +3,14 @@
 """Learning from probes, held to the dense Gaussian process that it is."""
 
 from copy import deepcopy
+from pathlib import Path
 
+import learnt_machine
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from processors import SETTINGS, result_under
 from scipy.stats import multivariate_normal, norm
 
 from fuzzycnc_ros.core.thermal import learning
@@ -264,3 +267,39 @@ def test_channels_are_learnt_apart_and_what_was_not_probed_stays():
     learner.begin_run()
     cold, _ = learner.step(np.array([0.0]), 0.0)
     assert not cold.any()
+
+
+def check_sound(learner):
+    """Check that all that is known is symmetric, positive and finite."""
+    for known in learner.posteriors:
+        whole = known._covariance
+        np.testing.assert_allclose(whole, whole.T, rtol=1e-9, atol=1e-26)
+        scale = np.sqrt(np.append(known._prior(known.scales), known.scales.drift**2))
+        assert np.linalg.eigvalsh(whole / np.outer(scale, scale)).min() > -1e-9
+        assert np.isfinite(known._mean).all()
+        assert len(known._probes) <= WINDOW + 1
+
+
+def test_many_steps_with_false_probes_leave_it_sound():
+    learner, said = learnt_machine.follow(4000, 1)
+    check_sound(learner)
+    assert said == learnt_machine.follow(4000, 1)[1]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_a_million_steps_leave_it_sound():
+    check_sound(learnt_machine.follow(1_000_000, 2, channels=1)[0])
+
+
+@pytest.mark.parametrize(
+    'settings',
+    [
+        'oldest',
+        *(pytest.param(name, marks=pytest.mark.slow) for name in SETTINGS if name != 'oldest'),
+    ],
+)
+def test_digits_are_the_same_on_every_processor(settings):
+    script = Path(learnt_machine.__file__)
+    _, usual = learnt_machine.follow(3000, 3)
+    assert result_under(SETTINGS[settings], script, '3000', '3') == usual
