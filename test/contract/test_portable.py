@@ -78,10 +78,9 @@ def _found(tree: ast.AST) -> Iterator[tuple[int, str]]:
         if isinstance(node, (ast.BinOp, ast.AugAssign)):
             if isinstance(node.op, ast.MatMult):
                 yield node.lineno, '@'
-            power = node.right if isinstance(node, ast.BinOp) else node.value
-            squared = isinstance(power, ast.Constant) and power.value == 2
             constant = isinstance(node, ast.BinOp) and isinstance(node.left, ast.Constant)
-            if isinstance(node.op, ast.Pow) and not (squared or constant):
+            # The square of a number is a power of the C library too: `x * x`, `np.square`.
+            if isinstance(node.op, ast.Pow) and not constant:
                 yield node.lineno, '**'
         elif isinstance(node, ast.ImportFrom):
             wrong = _FUNCTIONS if node.module in ('math', 'cmath', 'numpy') else set()
@@ -132,3 +131,4 @@ def test_the_rule_finds_what_it_is_for():
     text += '; np.einsum("ij,jk", a, b, optimize=True); np.linalg.norm(a, axis=1); a**2'
     found = [what for _, what in _found(ast.parse(text))]
     assert len(set(found)) == 8, found
+    assert [what for _, what in _found(ast.parse('x**2 + 2.0**x'))] == ['**']

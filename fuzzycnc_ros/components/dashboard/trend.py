@@ -130,7 +130,7 @@ def _approach(times: Floats, values: Floats) -> float | None:
     shape = portable.exp(-rate * (grid - grid[0]))
     size = float(portable.matmul(shape, evenly - end) / portable.matmul(shape, shape))
     beside = evenly - end - size * shape
-    if float(np.sqrt(np.mean(beside**2))) > _MISFIT * float(np.ptp(evenly)):
+    if float(np.sqrt(np.mean(beside * beside))) > _MISFIT * float(np.ptp(evenly)):
         return None
     left = abs(size * float(shape[-1]))
     return 0.0 if left <= STABLE_WITHIN else portable.log(left / STABLE_WITHIN) / rate

@@ -81,7 +81,7 @@ def limit_offsets(
     if size is not None:
         offset[0] = np.clip(nominal[0] + target[0], 0.0, size) - nominal[0]
     feed = np.diff(nominal, axis=0)
-    square = (feed**2).sum(axis=1)
+    square = (feed * feed).sum(axis=1)
     for n, step in enumerate(feed):
         if square[n] == 0.0:
             offset[n + 1] = offset[n]

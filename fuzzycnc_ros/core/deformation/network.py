@@ -104,7 +104,7 @@ class _Rows:
     def square_error(self, network: RuleNetwork) -> float:
         """Return the sum of squared errors of the compensations."""
         error = (network.values(self.inputs) - self.output) * self.load[:, np.newaxis]
-        return float((error**2).sum())
+        return float((error * error).sum())
 
 
 @dataclass(frozen=True, eq=False)

@@ -199,7 +199,7 @@ class FuzzyCMeans(FuzzyPartition):
         weight = _raised(membership, self.m)
         centers = portable.matmul(weight, centred) / weight.sum(axis=1, keepdims=True)
         self._keep(membership, centers + mean, history)
-        self.partition_coefficient_ = float((membership**2).sum() / len(centred))
+        self.partition_coefficient_ = float((membership * membership).sum() / len(centred))
         self.xie_beni_ = _xie_beni(self.objective_, centers, len(centred))
         return self
 
@@ -419,7 +419,7 @@ def class_values(membership: Array, outputs: Array, m: float = 2.0) -> ClassValu
     weight /= weight.sum(axis=1, keepdims=True)
     center = portable.matmul(weight, outputs)
     apart = outputs - center[:, np.newaxis]
-    variance = np.einsum('cn,cnq->cq', weight, apart**2)
+    variance = np.einsum('cn,cnq->cq', weight, apart * apart)
     nearest = np.abs(apart).argmin(axis=1)
     return ClassValues(center, variance, np.take_along_axis(outputs, nearest, axis=0))
 
@@ -461,12 +461,12 @@ class _Found(NamedTuple):
 def _spread_seeds(points: Array, count: int, rng: np.random.Generator) -> Array:
     """Return centres (c, p) drawn from the points far from each other, as k-means++ does."""
     chosen = [points[rng.integers(len(points))]]
-    nearest = ((points - chosen[0]) ** 2).sum(axis=1)
+    nearest = np.square(points - chosen[0]).sum(axis=1)
     while len(chosen) < count:
         # Squares of differences near 1e-200 are 0 although the points are distinct.
         weight = nearest if nearest.any() else np.ones(len(points))
         chosen.append(points[rng.choice(len(points), p=weight / weight.sum())])
-        nearest = np.minimum(nearest, ((points - chosen[-1]) ** 2).sum(axis=1))
+        nearest = np.minimum(nearest, np.square(points - chosen[-1]).sum(axis=1))
     return np.stack(chosen)
 
 
@@ -487,7 +487,7 @@ def _iterate_with_norms(
 ) -> _Found:
     """Alternate memberships and centres [gustafson1978] (r, c, p); return the best start."""
     apart = points - seeds[:, :, np.newaxis]
-    distance = (apart**2).sum(axis=-1)
+    distance = (apart * apart).sum(axis=-1)
     membership = _memberships_by_distance(np.maximum(distance, DISTANCE_MIN), m)
     starts = len(seeds)
     active = np.arange(starts)
@@ -500,7 +500,7 @@ def _iterate_with_norms(
         apart = points - center[:, :, np.newaxis]
         scatter = portable.matmul((weight[..., np.newaxis] * apart).swapaxes(-1, -2), apart)
         factor = _norm_factor((1.0 - share) * scatter / total[..., np.newaxis] + mixed)
-        distance = np.maximum((portable.matmul(apart, factor) ** 2).sum(axis=-1), DISTANCE_MIN)
+        distance = np.maximum(np.square(portable.matmul(apart, factor)).sum(axis=-1), DISTANCE_MIN)
         updated = _memberships_by_distance(distance, m)
         objective = (_raised(updated, m) * distance).sum(axis=(1, 2))
         change = np.abs(updated - membership).max(axis=(1, 2))

@@ -125,7 +125,7 @@ class Mamdani:
         centre, left, right = self._widths
         area = (left + right)[:, np.newaxis] * _half_area(height)
         moment = centre[:, np.newaxis] * area
-        moment += (right**2 - left**2)[:, np.newaxis] * _half_moment(height)
+        moment += (right * right - left * left)[:, np.newaxis] * _half_moment(height)
         # Neighbours share a trapezium about the middle between their centres: counted once.
         common = np.minimum(np.minimum(height[:-1], height[1:]), 0.5)
         shared = right[:-1, np.newaxis] * common * (1.0 - common)

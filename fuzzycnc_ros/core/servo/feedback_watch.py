@@ -222,7 +222,7 @@ class FeedbackWatch:
             self._last = position
         change = position - self._last
         surprise = change - self._slope
-        room = self._jump * (1 + self._gap) ** 2
+        room = self._jump * (1 + self._gap) * (1 + self._gap)
         if self._fresh:
             # nothing is known of the speed yet: it may be the fastest
             room += self._leap

@@ -15,7 +15,7 @@ def mean_of_square(residual: Array) -> Array:
     measured = ~np.isnan(residual)
     total = np.where(measured, residual, 0.0)
     count = measured.sum(axis=0)
-    return np.where(count > 0, (total**2).sum(axis=0) / np.maximum(count, 1), np.nan)
+    return np.where(count > 0, (total * total).sum(axis=0) / np.maximum(count, 1), np.nan)
 
 
 def largest_of(residual: Array) -> Array:
@@ -60,7 +60,9 @@ def log_residual(square: Array) -> Array:
     ndarray, shape (..., c)
         Logarithm of the root mean square.
     """
-    return np.asarray(0.5 * portable.log(np.maximum(np.nanmean(square, axis=-2), RESIDUAL_MIN**2)))
+    return np.asarray(
+        0.5 * portable.log(np.maximum(np.nanmean(square, axis=-2), RESIDUAL_MIN * RESIDUAL_MIN))
+    )
 
 
 def better(square: Array, other: Array, independent: int, rivals: int = 1) -> bool:
@@ -140,7 +142,7 @@ def _significant(gain: float, variance: float, count: int, error: float) -> bool
         return False
     count = max(1, count)
     freedom = SCATTER_WEIGHT + count - 1
-    moderated = (SCATTER_WEIGHT * SCATTER**2 + (count - 1) * variance) / freedom
+    moderated = (SCATTER_WEIGHT * (SCATTER * SCATTER) + (count - 1) * variance) / freedom
     return bool(gain > _student(freedom, 1.0 - error) * np.sqrt(moderated / count))
 
 
@@ -227,7 +229,7 @@ def fitted_band(residual: Array, distance: Array, folds: int) -> Band:
 def _surprise(residual: Array, deviation: Array) -> float:
     """Return the negative logarithm of the likelihood per sample, up to a constant."""
     with np.errstate(over='ignore', invalid='ignore', divide='ignore'):
-        values = 0.5 * (residual / deviation) ** 2 + portable.log(deviation)
+        values = 0.5 * np.square(residual / deviation) + portable.log(deviation)
     values = values[np.isfinite(residual) & np.isfinite(values)]
     return float(values.mean()) if len(values) else 0.0
 
@@ -357,7 +359,7 @@ def is_false_band(covered: float, ratio: float, independent: float, runs: int = 
     count = max(1, round(independent))
     outside = round(count * (1.0 - covered))
     number = float(bdtrc(outside - 1, count, 1.0 - COVERED)) if outside else 1.0
-    size = float(chdtrc(independent, independent * ratio**2))
+    size = float(chdtrc(independent, independent * (ratio * ratio)))
     return min(number, size) * runs <= FALSE_BAND_CHANCE * (1.0 + 1e-9)
 
 

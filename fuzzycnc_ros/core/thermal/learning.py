@@ -451,7 +451,7 @@ class Posterior:
         rises = self._basis.of_rises
         part = np.full(self._basis.features, scales.rise)
         part[rises:] = scales.speed
-        return (part * self._units()) ** 2
+        return np.square(part * self._units())
 
     def _units(self) -> Array:
         """Return the weights (p,) by which all features together are one scale, see `Scales`."""
@@ -494,7 +494,7 @@ class _Evidence:
         run = np.array([probe.run for probe in probes])
         time = np.array([probe.time for probe in probes])
         self._error = np.array([probe.error for probe in probes])
-        self._noise = np.diag(np.array([probe.noise for probe in probes]) ** 2)
+        self._noise = np.diag(np.square(np.array([probe.noise for probe in probes])))
         scaled = features * units
         rises, speeds = scaled[:, :of_rises], scaled[:, of_rises:]
         self._of_rises = portable.matmul(rises, rises.T)
@@ -515,7 +515,7 @@ class _Evidence:
         weights += scales.speed * scales.speed * self._of_speeds
         error = self._error - rho[self._since] * self._known
         if self._of_base is not None:
-            old = rho[np.minimum(self._since[:, np.newaxis], self._since)] ** 2
+            old = np.square(rho[np.minimum(self._since[:, np.newaxis], self._since)])
             weights = old * self._of_base + (1.0 - old) * weights
         covariance = rho[self._apart] * weights + scales.drift_variance * self._drift + self._noise
         total = 0.0
@@ -532,7 +532,7 @@ def _improbability(covariance: Array, error: Array) -> float:
         share = rows[row + 1 :, row, np.newaxis] / rows[row, row]
         rows[row + 1 :, row + 1 :] -= share * rows[row, row + 1 :]
     pivot = rows.diagonal()
-    return float(np.sum(portable.log(pivot)) + np.sum(rows[:, -1] ** 2 / pivot))
+    return float(np.sum(portable.log(pivot)) + np.sum(np.square(rows[:, -1]) / pivot))
 
 
 class Learner:

@@ -413,7 +413,7 @@ class ThermalRun:
             spindle_speed=None
             if self.spindle_speed is None
             # Heat goes with the square of the speed, and so must its mean.
-            else np.sqrt(_mean_of_measured(speed**2))[:, 0],
+            else np.sqrt(_mean_of_measured(speed * speed))[:, 0],
         )
 
     def bridged(self) -> 'ThermalRun':
@@ -689,7 +689,7 @@ SPEED_UNIT = 2.0 * pi * 1000.0 / 60.0
 
 def speed_drive(speed: Array) -> Array:
     """Return the driver [-] of spindle speeds [rad/s]: their square over that of 1000 rpm."""
-    return np.asarray((speed / SPEED_UNIT) ** 2)
+    return np.asarray(np.square(speed / SPEED_UNIT))
 
 
 def driven_speed(drive: Array) -> Array:

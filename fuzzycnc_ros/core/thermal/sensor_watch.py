@@ -125,7 +125,7 @@ def _is_moment(moment: Array) -> bool:
         return False
     scale = _scale_of(moment)
     alike = moment / np.outer(scale, scale)
-    rounding = len(moment) * MOMENT_ROUNDING / float((scale**2).min(initial=1.0))
+    rounding = len(moment) * MOMENT_ROUNDING / float((scale * scale).min(initial=1.0))
     return bool(np.linalg.eigvalsh(alike).min(initial=0.0) > -0.5 * MATE_RIDGE - rounding)
 
 
@@ -262,7 +262,7 @@ class Leverage:
         It is the distance of all sensors less what the target adds to it, given the others.
         """
         whole = np.add.reduce(pulled * rise, axis=-1, keepdims=True)
-        return np.asarray(whole - self._share * pulled[..., self._targets] ** 2)
+        return np.asarray(whole - self._share * np.square(pulled[..., self._targets]))
 
 
 WATCH_LIMIT = 0.5

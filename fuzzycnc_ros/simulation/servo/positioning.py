@@ -73,7 +73,7 @@ class PositioningRun:
     def following_error(self, since: float = 0.0) -> tuple[float, float]:
         """Return the largest and the rms distance to the reference from a time [s] on [m]."""
         error = self.error[self.time >= since]
-        return float(np.abs(error).max()), float(np.sqrt((error**2).mean()))
+        return float(np.abs(error).max()), float(np.sqrt((error * error).mean()))
 
 
 def settle_times(time: Array, error: Array, tolerance: float) -> Array:

@@ -256,7 +256,7 @@ def mill_displacement(rise: NDArray[np.float64]) -> NDArray[np.float64]:
     linear = 1e6 * (
         portable.matmul(rise, _ERROR_WEIGHTS.T)
     )  # the quadratic term is defined in micrometres
-    return np.asarray(1e-6 * _ERROR_SCALE * (linear + 0.0015 * linear**2))
+    return np.asarray(1e-6 * _ERROR_SCALE * (linear + 0.0015 * (linear * linear)))
 
 
 MILL_SENSORS = tuple(f'T{i}' for i in range(1, 77))

@@ -357,7 +357,7 @@ def _pi(places: int) -> int:
         term, last = (factor << places + 16) // part, 1
         while term not in (0, -1):
             found += term // last
-            term, last = -term // part**2, last + 2
+            term, last = -term // (part * part), last + 2
     return found >> 16
 
 

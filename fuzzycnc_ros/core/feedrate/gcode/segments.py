@@ -189,7 +189,7 @@ class ArcSegment(Segment):
         start, end = self.radii
         radius = start + (end - start) * np.linspace(0.0, 1.0, count + 1)
         rise = (self.end[across] - self.start[across]) / self.sweep
-        return np.asarray(radius / (radius**2 + rise**2))
+        return np.asarray(radius / (radius * radius + rise * rise))
 
 
 @dataclass(frozen=True, slots=True)

@@ -110,7 +110,7 @@ def acceleration_bands(geometry: PathGeometry, table: Array) -> Bands:
     """Return the bands that the limits of acceleration leave, those of the path and the axes."""
     own, side, _ = geometry.bounds()
     velocity, bound = table[0], table[1]
-    fastest = (velocity / np.maximum(own, 1e-12)).min(axis=1) ** 2
+    fastest = np.square((velocity / np.maximum(own, 1e-12)).min(axis=1))
     half = 0.5 / np.diff(geometry.node)
     before, after = [], []
     if np.isfinite(bound[0]):

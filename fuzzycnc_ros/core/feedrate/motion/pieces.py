@@ -216,7 +216,7 @@ def squares(speed: ArrayLike, count: int) -> Array:
         _refuse(nodes)
         wanted = np.column_stack([nodes[:-1], nodes[1:]])
     _refuse(wanted)
-    return np.asarray(wanted**2)
+    return np.asarray(wanted * wanted)
 
 
 def _halves(coefficient: Array, share: float) -> tuple[Array, Array]:

@@ -71,7 +71,7 @@ def _shares(geometry: PathGeometry, cap: Array, table: Array) -> Array:
     velocity, acceleration, jerk = table
     own, side, twist = (np.maximum(bound, 1e-12) for bound in geometry.bounds())
     for bound in (
-        (velocity / own) ** 2,
+        np.square(velocity / own),
         0.7 * acceleration / side,
         np.square(portable.cube_root(0.5 * jerk / twist)),
     ):

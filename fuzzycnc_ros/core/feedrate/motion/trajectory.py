@@ -180,7 +180,7 @@ class Trajectory:
             place, speed, rise = self.along(some)
             position, tangent, bend = self._on_path(place)
             velocity = tangent * speed[:, np.newaxis]
-            acceleration = tangent * rise[:, np.newaxis] + bend * speed[:, np.newaxis] ** 2
+            acceleration = tangent * rise[:, np.newaxis] + bend * np.square(speed[:, np.newaxis])
             speed = np.asarray(np.linalg.norm(velocity, axis=1))
             found.append(MotionSamples(some, position, velocity, acceleration, place, speed))
         return MotionSamples.join(found, self.geometry.axes)
@@ -206,7 +206,7 @@ class Trajectory:
         place = np.asarray(arc_length, dtype=float)
         if self.window == 0.0:
             moving = np.append(np.diff(self.arc_length) > 0.0, True)
-            square = self.speed[moving] ** 2
+            square = np.square(self.speed[moving])
             return np.asarray(np.sqrt(np.interp(place, self.arc_length[moving], square)))
         low, high = np.full(len(place), self.time[0]), np.full(len(place), self.duration)
         for _ in range(52):  # halves the interval down to the spacing of doubles

@@ -57,17 +57,17 @@ class WaypointCurve:
         if velocity is None or acceleration is None:
             slope = change / width
             known.append((3.0 * slope - 2.0 * speed[:-1] - speed[1:]) / width)
-            known.append((speed[:-1] + speed[1:] - 2.0 * slope) / width**2)
+            known.append((speed[:-1] + speed[1:] - 2.0 * slope) / (width * width))
         else:
             known.append(0.5 * acceleration[:-1])
             # what is left to reach at the end of each piece, scaled to its width
             place = change - width * (known[1] + width * known[2])
             rate = width * (speed[1:] - known[1] - width * acceleration[:-1])
-            bend = width**2 * np.diff(acceleration, axis=0)
-            cube = width**2 * width
+            bend = width * width * np.diff(acceleration, axis=0)
+            cube = width * width * width
             known.append((10.0 * place - 4.0 * rate + 0.5 * bend) / cube)
             known.append((-15.0 * place + 7.0 * rate - bend) / (cube * width))
-            known.append((6.0 * place - 3.0 * rate + 0.5 * bend) / (cube * width**2))
+            known.append((6.0 * place - 3.0 * rate + 0.5 * bend) / (cube * (width * width)))
         self._known = np.stack(known)
 
     def at(self, time: Array) -> tuple[Array, Array, Array]:
@@ -127,7 +127,7 @@ class SampledCurve:
         self._time = np.linspace(0.0, curve.duration, count + 1)
         position, velocity, acceleration = curve.at(self._time)
         self._velocity = self._rate * velocity
-        self._acceleration = self._rate**2 * acceleration
+        self._acceleration = self._rate * self._rate * acceleration
         steps = np.linalg.norm(np.diff(position, axis=0), axis=1)
         self.samples = Sampled(position, self._velocity, np.append(0.0, np.cumsum(steps)))
         """All samples, from rest to rest."""
@@ -196,7 +196,7 @@ class SampledCurve:
         """Return how fast the rate may fall [1/s] so that no axis passes its acceleration."""
         near = np.clip(int(place) + _NEIGHBOURS, 0, len(self) - 1)
         speed, bend = self._velocity[near], self._acceleration[near]
-        room = acceleration + np.sign(speed) * bend * rate**2
+        room = acceleration + np.sign(speed) * bend * (rate * rate)
         with np.errstate(divide='ignore', invalid='ignore'):
             found = np.where(speed != 0.0, room / np.abs(speed), np.inf)
         return float(max(0.0, min(found.min(), 1.0 / self._period)))

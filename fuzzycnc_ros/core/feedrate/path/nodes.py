@@ -77,7 +77,7 @@ def own_curvature(geometry: PathGeometry) -> Array:
     tangent, bend = geometry.end_derivatives()
     square = dot_products(tangent, tangent)
     along = dot_products(tangent, bend)
-    across = np.maximum(dot_products(bend, bend) - along**2 / square, 0.0)
+    across = np.maximum(dot_products(bend, bend) - along * along / square, 0.0)
     return np.asarray(np.sqrt(across) / square)
 
 
@@ -126,14 +126,14 @@ def with_ramps(
         The speeds at the ends of its pieces [m/s].
     """
     length = np.diff(path.geometry.node)
-    ramp = speed**2 / (2.0 * acceleration) / length[:, np.newaxis]
+    ramp = speed * speed / (2.0 * acceleration) / length[:, np.newaxis]
     ramp[(ramp > 0.25) | (ramp < 1e-6)] = np.nan  # others come out right without
     head = np.where(path.stop[:-1], ramp[:, 0], np.nan)
     tail = np.where(path.stop[1:], 1.0 - ramp[:, 1], np.nan)
     piece, share = _sorted([np.zeros(len(length)), head, tail])
     if len(piece) == len(length):
         return path, speed
-    square = speed[piece] ** 2
+    square = np.square(speed[piece])
     end = np.append(share[1:], 1.0)
     end[end == 0.0] = 1.0
     rise = square[:, 1] - square[:, 0]

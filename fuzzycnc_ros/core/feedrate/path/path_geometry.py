@@ -113,7 +113,7 @@ class PathGeometry:
             half = 0.25 * chord * (vector_lengths(bend[:-1]) + vector_lengths(bend[1:]))
             half = np.minimum(half, 1.0)
             length = chord * portable.arcsin(half) / np.where(half > 1e-4, half, 1.0)
-            length = np.where(half > 1e-4, length, chord * (1.0 + half**2 / 6.0))
+            length = np.where(half > 1e-4, length, chord * (1.0 + half * half / 6.0))
         else:
             length = np.diff(np.asarray(arc_length, dtype=float))
             if len(length) != len(chord) or not (length > 0.0).all():
@@ -197,7 +197,7 @@ class PathGeometry:
         )
         speed = np.maximum(vector_lengths(one), 1e-9)
         rise = dot_products(one, two) / speed
-        bend = (dot_products(two, two) + dot_products(one, three) - rise**2) / speed
+        bend = (dot_products(two, two) + dot_products(one, three) - rise * rise) / speed
         path = [
             vector_lengths(derivatives[0]).max(axis=1),
             1.1 * np.abs(rise).max(axis=0),
@@ -288,8 +288,8 @@ def hermite(point: Array, tangent: Array, curvature: Array, length: Array) -> Ar
         [
             first,
             first + h / 5.0 * tangent[:-1],
-            first + 2.0 * h / 5.0 * tangent[:-1] + h**2 / 20.0 * curvature[:-1],
-            last - 2.0 * h / 5.0 * tangent[1:] + h**2 / 20.0 * curvature[1:],
+            first + 2.0 * h / 5.0 * tangent[:-1] + h * h / 20.0 * curvature[:-1],
+            last - 2.0 * h / 5.0 * tangent[1:] + h * h / 20.0 * curvature[1:],
             last - h / 5.0 * tangent[1:],
             last,
         ],
@@ -336,7 +336,7 @@ def _spline_shape(point: Array) -> tuple[Array, Array]:
         )
     along = first / size
     across = second - (second * along).sum(axis=1, keepdims=True) * along
-    return along, np.asarray(across / size**2)
+    return along, np.asarray(across / (size * size))
 
 
 def turn_angles(before: Array, after: Array) -> Array:

@@ -350,7 +350,7 @@ def _stencil_curvature(path: Array, closed: bool, stencil: float) -> Array:
     # Back where it came from within the stencil, the path has no direction but has turned round.
     folded = length.min(axis=0) <= _FOLDED * half
     length = np.where(folded, [middle - before, after - middle], length)
-    bend = np.sum(np.diff(step / length, axis=1) ** 2, axis=(0, 1))
+    bend = np.sum(np.square(np.diff(step / length, axis=1)), axis=(0, 1))
     return _three_points(length[0], length[1], np.where(folded, 4.0, np.minimum(bend, 4.0)))
 
 

@@ -157,7 +157,7 @@ def _frames(curve: NurbsCurve, u: Array, low: float, high: float) -> tuple[Array
         speed[still] = vector_lengths(first[still])
     tangent = first / speed[:, np.newaxis]
     along = dot_products(second, tangent)[:, np.newaxis]
-    return point, tangent, (second - along * tangent) / speed[:, np.newaxis] ** 2
+    return point, tangent, (second - along * tangent) / np.square(speed[:, np.newaxis])
 
 
 def _edges(curve: NurbsCurve) -> Array:
@@ -369,7 +369,7 @@ class Shapes:
         speed = vector_lengths(first)[:, np.newaxis]
         tangent = first / speed
         along = dot_products(second, tangent)[:, np.newaxis]
-        return Frame(point, tangent, (second - along * tangent) / speed**2)
+        return Frame(point, tangent, (second - along * tangent) / (speed * speed))
 
     def _curves(self, index: NDArray[np.intp], place: Array) -> Frame:
         found = Frame(*(np.empty((len(index), 3)) for _ in range(3)))
@@ -510,8 +510,8 @@ def _arc_derivatives(number: Array, share: Array) -> tuple[Array, Array, Array]:
     first[row, axes[:, 0]] = change * cosine - distance * sweep * sine
     first[row, axes[:, 1]] = change * sine + distance * sweep * cosine
     first[row, axes[:, 2]] = rise
-    second[row, axes[:, 0]] = -2.0 * change * sweep * sine - distance * sweep**2 * cosine
-    second[row, axes[:, 1]] = 2.0 * change * sweep * cosine - distance * sweep**2 * sine
+    second[row, axes[:, 0]] = -2.0 * change * sweep * sine - distance * (sweep * sweep) * cosine
+    second[row, axes[:, 1]] = 2.0 * change * sweep * cosine - distance * (sweep * sweep) * sine
     point += number[:, 11:14] * (1.0 - share)[:, np.newaxis]
     point += number[:, 14:17] * share[:, np.newaxis]
     first += number[:, 14:17] - number[:, 11:14]
@@ -521,7 +521,8 @@ def _arc_derivatives(number: Array, share: Array) -> tuple[Array, Array, Array]:
 def _arc_speed(number: Array, share: Array) -> Array:
     """Return the length of the derivative by the share."""
     radius = number[:, 5] + number[:, 6] * share
-    return np.sqrt(number[:, 6] ** 2 + number[:, 10] ** 2 + (number[:, 8] * radius) ** 2)
+    square = np.square(number[:, 6]) + np.square(number[:, 10])
+    return np.asarray(np.sqrt(square + np.square(number[:, 8] * radius)))
 
 
 def _arc_length(number: Array, share: Array) -> Array:

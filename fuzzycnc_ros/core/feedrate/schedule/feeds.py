@@ -120,7 +120,7 @@ class FeedPlan:
         at = self.piece(low, high)
         ends = np.column_stack([self._scheduled[at], self._scheduled[at + 1]])
         programmed = self.programmed[at, np.newaxis]
-        square = desired_feed(self._scheduler, ends, programmed, self._override) ** 2
+        square = np.square(desired_feed(self._scheduler, ends, programmed, self._override))
         begin, length = self.place[at], np.diff(self.place)[at]
         share = np.column_stack([low - begin, high - begin]) / length[:, np.newaxis]
         change = square[:, 1:] - square[:, :1]

@@ -219,14 +219,14 @@ class _Outlook:
             front,
             rises[len(pieces) - len(front) :],
             np.append(place, at_place[further]),
-            np.append(speed**2, square[further]),
+            np.append(speed * speed, square[further]),
         )
 
     def _ahead(self) -> tuple[Pieces, Array, Array, Array]:
         """Return all pieces, their largest changes of speed, and the plan to rest."""
         motion = self.motion
         pieces, rise = [motion.pieces], [motion.rise]
-        place, square = motion.arc_length, motion.speed**2
+        place, square = motion.arc_length, motion.speed * motion.speed
         if self.stream is not None:
             pieces.append(self.stream.waiting)
             rise.append(np.zeros(len(pieces[-1])))
