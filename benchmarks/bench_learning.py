@@ -3,7 +3,7 @@
 """Time of learning from probes, with 24 sensors, the spindle speed and three lags.
 
 Printed are, for one channel, the time of a sample (features, drift, prediction and deviation), of
-a probe, and of learning the scales anew from a full window of probes; and the size of what is kept.
+a probe, and of learning the scales anew from a full window of probes; and the size of all that.
 
 Run with `python benchmarks/bench_learning.py`.
 """
