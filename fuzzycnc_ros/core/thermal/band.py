@@ -58,11 +58,13 @@ def log_residual(square: Array) -> Array:
     Returns
     -------
     ndarray, shape (..., c)
-        Logarithm of the root mean square.
+        Logarithm of the root mean square; NaN where no fold has measured the channel.
     """
-    return np.asarray(
-        0.5 * portable.log(np.maximum(np.nanmean(square, axis=-2), RESIDUAL_MIN * RESIDUAL_MIN))
-    )
+    measured = ~np.isnan(square)
+    total = np.where(measured, square, 0.0).sum(axis=-2)
+    count = measured.sum(axis=-2)
+    mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return np.asarray(0.5 * portable.log(np.maximum(mean, RESIDUAL_MIN * RESIDUAL_MIN)))
 
 
 def better(square: Array, other: Array, independent: int, rivals: int = 1) -> bool:

@@ -545,10 +545,10 @@ def preferred(
     Returns
     -------
     tuple of str, length c
-        The model with the least residual over all channels, in the geometric mean, unless
-        another one is better in a channel by a tenth and beyond chance.  A network is best over
-        all channels only if it beats the best linear model in the same way.  A channel that no
-        model improves beyond chance stays uncompensated.
+        LagRidge, with the spindle speed or without, whichever leaves less over all channels in
+        the geometric mean, unless another model is better over all channels, or in a channel, by
+        a tenth and beyond chance.  Where it was not fitted, the best linear model stands in for
+        it.  A channel that no model improves beyond chance stays uncompensated.
     """
     numbers = list(range(len(data.folds)) if folds is None else folds)
     independent = independent_folds([data.folds[number] for number in numbers])
@@ -561,10 +561,11 @@ def preferred(
     level = log_residual(square)
     rivals = max(1, len(models) - 1)
     overall = np.nanmean(level, axis=1)
+    usual = [n for n, name in enumerate(names) if name.removesuffix(SPEED_SUFFIX) == 'lag_ridge']
     linear = [
         n for n, item in enumerate(models) if not (item.contender and item.contender.network)
     ]
-    best = min(linear or range(len(names)), key=lambda n: float(overall[n]))
+    best = min(usual or linear or range(len(names)), key=lambda n: float(overall[n]))
     rival = int(np.argmin(overall))
     if rival != best and better(square[rival], square[best], independent, rivals):
         best = rival

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.thermal.band import better, worth_using
+from fuzzycnc_ros.core.thermal.band import better, log_residual, worth_using
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED, Candidate
 from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
 from fuzzycnc_ros.core.thermal.fit.candidates import (
@@ -87,16 +87,33 @@ def test_overlapping_folds_count_once():
     assert preferred([best, rival], overlapping)[0] == 'lag_ridge'
 
 
-def test_a_network_must_win_beyond_chance():
+@pytest.mark.parametrize('name', ['hybrid_network', 'stable_grey', 'least_squares'])
+def test_another_form_than_lag_ridge_must_win_beyond_chance(name):
     data = data_of(folds_of(3))
-    best = judged('lag_ridge', [[1.0, 1.0], [1.0, 1.0], [1.0, 1.0]])
-    lucky = judged('hybrid_network', [[0.2, 0.2], [1.1, 1.1], [1.0, 1.0]])
-    winner = judged('hybrid_network', [[0.3, 0.3], [0.35, 0.35], [0.3, 0.3]])
-    assert preferred([lucky, best], data) == ('lag_ridge', 'lag_ridge')
-    assert preferred([winner, best], data) == ('hybrid_network', 'hybrid_network')
-    # Among linear models the smaller error suffices: one of them has to be taken.
-    linear = judged('stable_grey', [[0.2, 0.2], [1.1, 1.1], [1.0, 1.0]])
-    assert preferred([linear, best], data) == ('stable_grey', 'stable_grey')
+    usual = judged('lag_ridge', [[1.0, 1.0], [1.0, 1.0], [1.0, 1.0]])
+    lucky = judged(name, [[0.2, 0.2], [1.1, 1.1], [1.0, 1.0]])
+    winner = judged(name, [[0.3, 0.3], [0.35, 0.35], [0.3, 0.3]])
+    assert preferred([lucky, usual], data) == ('lag_ridge', 'lag_ridge')
+    assert preferred([winner, usual], data) == (name, name)
+
+
+def test_lag_ridge_reads_the_speed_where_that_leaves_less():
+    data = data_of(folds_of(3))
+    without = judged('lag_ridge', [[1.0, 1.0], [1.0, 1.0], [1.0, 1.0]])
+    lucky = [[0.2, 0.2], [1.1, 1.1], [1.0, 1.0]]
+    with_speed = judged('lag_ridge_speed', lucky)
+    assert preferred([without, with_speed], data) == ('lag_ridge_speed', 'lag_ridge_speed')
+    # Where it was not fitted one of the others has to be taken: the best linear one.
+    ridge = judged('static_ridge', [[1.0, 1.0], [1.0, 1.0], [1.0, 1.0]])
+    grey = judged('stable_grey', lucky)
+    network = judged('hybrid_network', [[0.2, 0.2], [1.0, 1.0], [0.9, 0.9]])
+    assert preferred([network, ridge, grey], data) == ('stable_grey', 'stable_grey')
+
+
+def test_channels_that_no_fold_measured_have_no_residual():
+    residual = log_residual(np.array([[1.0, np.nan], [4.0, np.nan]]))
+    assert residual[0] == pytest.approx(0.5 * np.log(2.5))
+    assert np.isnan(residual[1])
 
 
 def test_no_compensation_wins_unless_it_is_beaten():
