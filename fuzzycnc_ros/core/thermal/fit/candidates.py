@@ -401,6 +401,9 @@ CONTENDERS: Mapping[str, Contender] = MappingProxyType(
 """How each of `CANDIDATES` is fitted, in the order of tables."""
 
 
+RIDGE = ('static_ridge', 'lag_ridge', 'lag_ridge_speed')
+"""Candidates that are in use unless another form is better beyond chance."""
+
 DIVERGED = 3.0
 """Held-out residual over the largest displacement from which a candidate is refused [-]."""
 
@@ -545,10 +548,11 @@ def preferred(
     Returns
     -------
     tuple of str, length c
-        LagRidge, with the spindle speed or without, whichever leaves less over all channels in
-        the geometric mean, unless another model is better over all channels, or in a channel, by
-        a tenth and beyond chance.  Where it was not fitted, the best linear model stands in for
-        it.  A channel that no model improves beyond chance stays uncompensated.
+        Ridge regression, with lags or without, with the spindle speed or without, whichever
+        leaves least over all channels in the geometric mean, unless another model is better over
+        all channels, or in a channel, by a tenth and beyond chance.  Where none was fitted, the
+        best linear model stands in for it.  A channel that no model improves beyond chance stays
+        uncompensated.
     """
     numbers = list(range(len(data.folds)) if folds is None else folds)
     independent = independent_folds([data.folds[number] for number in numbers])
@@ -561,7 +565,7 @@ def preferred(
     level = log_residual(square)
     rivals = max(1, len(models) - 1)
     overall = np.nanmean(level, axis=1)
-    usual = [n for n, name in enumerate(names) if name.removesuffix(SPEED_SUFFIX) == 'lag_ridge']
+    usual = [n for n, name in enumerate(names) if name in RIDGE]
     linear = [
         n for n, item in enumerate(models) if not (item.contender and item.contender.network)
     ]
