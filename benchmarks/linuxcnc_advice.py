@@ -33,6 +33,7 @@ from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
 from fuzzycnc_ros.simulation.controller.program import (
     PathMode,
+    path_modes,
     program_moves,
     simulate,
 )
@@ -118,7 +119,7 @@ class Stand:
 def compare(stand: Stand, path: Path, seconds: float, tolerance: float) -> list[tuple[str, ...]]:
     """Return the rows of a program: as it is, the best of the grid, as advised."""
     program = beginning(path, seconds)
-    if not any(MODE.search(block.text) for block in program.blocks):
+    if all(mode == PathMode() for _, mode in path_modes(program.blocks)):
         program = read_program(program_with_mode(program.text, OWN_MODE))
     moves = program_moves(program.blocks)
     true = ProgramPath(moves)
@@ -161,9 +162,6 @@ def advised(program: Program, tolerance: float) -> dict[str, Any]:
         'program': advised_program(program, chosen),
         'judged': asdict(chosen.judged),
     }
-
-
-MODE = re.compile(r'[gG]\s*0*6[14]')
 
 
 def row(name: str, what: str, judged: Judged, simulated: Judged | None) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[1] / 'test' / 'support'))
 
 from equipment.linuxcnc_short import agreement_table, compared, drive, driven, figures
-from programs.short_programs import short_program
+from programs.short_programs import KINDS, PLUNGES, short_program
 
 from fuzzycnc_ros.adapters.linuxcnc.recorder import recording
 
@@ -31,25 +32,24 @@ def main() -> int:
     parser.add_argument('--json', type=Path, required=True, help='what was driven')
     parser.add_argument('--seed', type=int, default=2, help='of the programs')
     parser.add_argument('--count', type=int, default=500, help='programs')
+    parser.add_argument('--plunges', action='store_true', help='plunges after rapids alone')
     arguments = parser.parse_args()
     file, seed = arguments.json, arguments.seed
+    kinds = PLUNGES if arguments.plunges else KINDS
     known = {'seed': seed, 'driven': {}, 'again': {}}
     if file.exists():
         known = json.loads(file.read_text())
     if known['seed'] != seed:
         raise SystemExit(f'{file}: expected seed {seed}, it has {known["seed"]}')
     numbers = range(arguments.count)
-    _drive(known, 'driven', [one for one in numbers if str(one) not in known['driven']], file)
-    rows = compared(seed, figures(known['driven']))
+    missing = [one for one in numbers if str(one) not in known['driven']]
+    _drive(known, 'driven', missing, file, kinds)
+    rows = compared(seed, figures(known['driven']), kinds)
     apart = [row for row in rows if not row.agrees]
-    _drive(
-        known,
-        'again',
-        [row.number for row in apart if str(row.number) not in known['again']],
-        file,
-    )
+    missing = [row.number for row in apart if str(row.number) not in known['again']]
+    _drive(known, 'again', missing, file, kinds)
     print(agreement_table(rows).to_text())
-    for row, again in zip(apart, compared(seed, figures(known['again'])), strict=True):
+    for row, again in zip(apart, compared(seed, figures(known['again']), kinds), strict=True):
         print(
             f'{row.number}, {row.kind}: {row.time[0]:.3f} s and {1e6 * row.error[0]:.1f} um, '
             f'again {again.time[0]:.3f} s and {1e6 * again.error[0]:.1f} um, '
@@ -58,13 +58,15 @@ def main() -> int:
     return 0
 
 
-def _drive(known: dict[str, Any], run: str, numbers: list[int], file: Path) -> None:
+def _drive(
+    known: dict[str, Any], run: str, numbers: list[int], file: Path, kinds: Sequence[str]
+) -> None:
     """Run programs on LinuxCNC and write what came of it."""
     if not numbers:
         return
     with recording() as recorder:
-        for number, cut in drive(recorder, known['seed'], numbers):
-            time, error = driven(short_program(known['seed'], number), cut)
+        for number, cut in drive(recorder, known['seed'], numbers, kinds):
+            time, error = driven(short_program(known['seed'], number, kinds), cut)
             known[run][str(number)] = [round(time, 4), round(error, 9)]
             file.write_text(json.dumps(known))
 

@@ -64,8 +64,16 @@ class Recorder:
                 ):
                     self.halcmd('setp', f'ini.{name}.{quantity}', f'{value:.9f}')
 
-    def origin(self) -> None:
-        """Move the axes to where they stood when homed.
+    def origin(self, path_mode: str = 'G64') -> None:
+        """Move the axes to where they stood when homed, and set the path mode.
+
+        LinuxCNC keeps the path mode of one program for the next.
+
+        Parameters
+        ----------
+        path_mode : str
+            What is in effect before a program says so, in millimetres; the default is that of a
+            LinuxCNC just started.
 
         Raises
         ------
@@ -73,7 +81,7 @@ class Recorder:
             If that takes more than a minute.
         """
         path = self._folder / 'origin.ngc'
-        path.write_text('G92.1\nG54 G90 G21\nG53 G0 X0 Y0 Z0\nG4 P0.5\nM2\n')
+        path.write_text(f'G92.1\nG54 G90 G21\n{path_mode}\nG53 G0 X0 Y0 Z0\nG4 P0.5\nM2\n')
         self._machine.run(str(path))
         self._wait(60.0)
 

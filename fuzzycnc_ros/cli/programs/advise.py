@@ -141,7 +141,7 @@ def advise(
         raise ValueError(f'{program}: {error}') from error
     measured = None
     if linuxcnc:
-        advice, measured = _measured(given, advice, adviser, known, units)
+        advice, measured = _measured(given, advice, adviser, known, before, units)
     figures = _figures(str(program), advice, measured)
     known.say_constant()
     show(advice_table(figures))
@@ -227,6 +227,7 @@ def _measured(
     advice: 'Advice',
     adviser: 'Adviser',
     machine: SchedulingMachine,
+    before: 'PathMode',
     units: str,
 ) -> 'tuple[Advice, list[Judged]]':
     """Run every remedy on LinuxCNC, and those that leave too much again with a lower aim."""
@@ -239,7 +240,7 @@ def _measured(
         def run(remedy: 'Remedy', number: int) -> 'Judged':
             tell(remedy.name, min(number, len(advice.remedies)), len(advice.remedies))
             recorder.limit(limits.velocity, limits.acceleration)
-            recorder.origin()
+            recorder.origin(before.word)
             recorder.limit(limits.velocity, remedy.acceleration)
             text = advised_program(given, remedy, units)
             samples = recorder.run(text, SLACK * remedy.judged.duration + WAIT)

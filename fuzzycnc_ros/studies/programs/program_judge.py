@@ -47,7 +47,7 @@ _STEP, _EVERY = 1e-5, 8
 """Way of the commands after which a sample is measured [m], and samples after which one is."""
 
 _PEAKS = 32
-"""Largest errors beside which every sample is measured: a corner's peak is shorter than a step."""
+"""Largest peaks beside which every sample is measured."""
 
 
 @dataclass(frozen=True)
@@ -275,7 +275,10 @@ def _course(
     error = contour.distance(axes[kept], delayed[kept], reach)
     edge = run.place[:, 1] - begin
     move = np.clip(np.searchsorted(edge, error.arc_length), 0, len(run) - 1)
-    beside = _beside_peaks(kept, np.where(run.rapid[move], 0.0, error.distance))
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(axes, axis=0), axis=1)))[kept]
+    most = 0.5 * (error.distance[:-1] + error.distance[1:] + np.diff(way))
+    most[np.diff(move) == 0] = 0.0
+    beside = _left_out(kept, np.where(run.rapid[move], 0.0, error.distance), most)
     more = contour.distance(axes[beside], delayed[beside], reach)
     order = np.argsort(np.append(kept, beside), kind='stable')  # quick where two parts are sorted
     kept = np.append(kept, beside)[order]
@@ -303,11 +306,18 @@ def _course(
     )
 
 
-def _beside_peaks(kept: NDArray[np.intp], error: Array) -> NDArray[np.intp]:
-    """Return the samples that were left out on both sides of those with the largest errors."""
-    count = min(_PEAKS, len(kept))
-    most = np.argpartition(error, len(kept) - count)[-count:]
-    gap = np.unique(np.append(most - 1, most))
+def _left_out(kept: NDArray[np.intp], error: Array, most: Array) -> NDArray[np.intp]:
+    """Return the samples that were left out where one of them may have the largest error.
+
+    Errors are smooth but where the nearest point of the path comes to another move.  There they
+    have a sharp peak at corners, and jump between rapids and cutting, but an error is no larger
+    than those beside it and the way to them let it be, which `most` says.
+    """
+    high = np.pad(error, 1, constant_values=-1.0)
+    peaks = np.flatnonzero((error > 0.0) & (error >= high[:-2]) & (error >= high[2:]))
+    peaks = peaks[np.argsort(error[peaks])[-_PEAKS:]]
+    sharp = np.flatnonzero(most > error.max())
+    gap = np.unique(np.concatenate([peaks - 1, peaks, sharp]))
     gap = gap[(gap >= 0) & (gap < len(kept) - 1)]
     left_out = [np.arange(kept[one] + 1, kept[one + 1]) for one in gap.tolist()]
     return np.concatenate([kept[:0], *left_out])

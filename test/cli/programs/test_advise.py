@@ -16,7 +16,7 @@ from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.controller import agreement
 from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
-from fuzzycnc_ros.simulation.controller.program import program_moves, simulate
+from fuzzycnc_ros.simulation.controller.program import path_modes, program_moves, simulate
 from fuzzycnc_ros.studies.programs import advice
 from fuzzycnc_ros.studies.programs.program_judge import ProgramPath
 from fuzzycnc_ros.studies.programs.split_program import check_same_path
@@ -134,20 +134,30 @@ def test_feeds_are_refined_no_further_than_somebody_wants(fuzzycnc, part, monkey
     assert len(tried) <= 12  # of 48
 
 
+def mode_after(text, before=None):
+    """Return the path mode that a program ends with."""
+    *_, (_, mode) = path_modes(read_program(text).blocks, before)
+    return mode
+
+
 class Harder:
-    """A LinuxCNC that accelerates more than it should, so that it leaves more."""
+    """A LinuxCNC that accelerates more than it should, so that it leaves more.
+
+    As the real one it keeps the path mode from program to program.
+    """
 
     more = 1.0
 
     def __init__(self):
         self.runs = []
         self._acceleration = (0.0,) * 3
+        self._mode = None
 
     def limit(self, velocity, acceleration):
         self._velocity, self._acceleration = velocity, acceleration
 
-    def origin(self):
-        pass
+    def origin(self, path_mode='G64'):
+        self._mode = mode_after(f'G21 {path_mode}\n')
 
     def run(self, text, timeout):
         limits = ControllerLimits(
@@ -156,7 +166,8 @@ class Harder:
             path_velocity=0.25,
         )
         self.runs.append(text)
-        [found] = simulate(program_moves(read_program(text).blocks), limits)
+        [found] = simulate(program_moves(read_program(text).blocks, self._mode), limits)
+        self._mode = mode_after(text, self._mode)
         return found.position
 
 
@@ -194,6 +205,20 @@ def test_what_leaves_too_much_on_linuxcnc_is_looked_for_again_with_a_lower_aim(
 def test_what_keeps_the_tolerance_on_linuxcnc_runs_once(fuzzycnc, part, harder):
     _, found = advised(fuzzycnc, part, '--corners', 'none', '--linuxcnc')
     assert len(harder.runs) == len(found['remedies'])
+
+
+@pytest.mark.parametrize('blend', [[], ['--blend', '0.01mm']])
+def test_a_program_without_a_path_mode_runs_on_linuxcnc_in_the_one_that_was_simulated(
+    fuzzycnc, part, harder, blend
+):
+    harder.more = 1.0
+    part.write_text(PART.replace(' G64 P0.02', ''))
+    _, found = advised(fuzzycnc, part, '--corners', 'none', '--linuxcnc', *blend)
+    for one in found['remedies']:
+        driven, simulated = one['linuxcnc'], one['simulated']
+        assert driven['duration'] == pytest.approx(simulated['duration'], abs=0.003)
+        # where corners are left by far the nearest place is not the one that was commanded
+        assert driven['error'] == pytest.approx(simulated['error'], rel=0.03)
 
 
 @pytest.mark.parametrize(

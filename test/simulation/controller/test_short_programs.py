@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from equipment.linuxcnc_short import compared, figures
+from programs.short_programs import PLUNGES
 
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
@@ -19,6 +20,10 @@ from fuzzycnc_ros.studies.programs.program_judge import ProgramPath
 
 MEASURED = json.loads(Path(__file__).with_name('short_programs.json').read_text())
 """What LinuxCNC 2.9 took and left: `benchmarks/linuxcnc_short_programs.py`."""
+PLUNGED = json.loads(Path(__file__).with_name('short_plunges.json').read_text())
+"""The same of plunges after rapids."""
+HIDDEN = (24, 95, 98, 107)
+"""Those of which a bend has larger errors than the samples after the worst one of a plunge."""
 SPACE = {'lines in space', 'helix'}
 ARCS = {'line and arc', 'arcs', 'lines and arcs'}
 
@@ -47,6 +52,21 @@ def test_time_and_error_are_those_of_linuxcnc():
     assert np.quantile(np.abs(errors - 1.0), 0.95) < 0.03
     for kind, ratio in largest(found).items():
         assert ratio <= agreement.LARGEST[kind]
+
+
+def test_what_a_rapid_leaves_counts_from_the_first_sample_of_the_plunge():
+    found = figures(PLUNGED['driven'])
+    for row in compared(PLUNGED['seed'], {number: found[number] for number in HIDDEN}, PLUNGES):
+        assert row.time_ratio == pytest.approx(1.0, abs=0.01)
+        assert row.error_ratio == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.slow
+def test_plunges_leave_what_linuxcnc_does():
+    found = compared(PLUNGED['seed'], figures(PLUNGED['driven']), PLUNGES)
+    assert len(found) == 120
+    assert all(row.agrees for row in found)
+    assert max(row.error_ratio for row in found) <= agreement.LARGEST[agreement.ARCS]
 
 
 @pytest.mark.slow

@@ -69,14 +69,16 @@ class Compared:
         return all(LOW <= ratio <= HIGH for ratio in (self.time_ratio, self.error_ratio))
 
 
-def drive(recorder: Recorder, seed: int, numbers: Iterable[int]) -> Iterator[tuple[int, Array]]:
+def drive(
+    recorder: Recorder, seed: int, numbers: Iterable[int], kinds: Sequence[str] = KINDS
+) -> Iterator[tuple[int, Array]]:
     """Run programs on LinuxCNC; yield their numbers and what was commanded [m].
 
     Those of a batch, which have one acceleration, run as one program with rests between them.
     """
     for _, batch in groupby(numbers, lambda number: number // BATCH):
         chosen = list(batch)
-        programs = [short_program(seed, number) for number in chosen]
+        programs = [short_program(seed, number, kinds) for number in chosen]
         recorder.limit(VELOCITY, QUICK)
         recorder.origin()
         recorder.limit(VELOCITY, programs[0].acceleration)
@@ -120,7 +122,9 @@ def figures(known: Mapping[str, Sequence[float]]) -> dict[int, tuple[float, floa
     return {int(number): (time, error) for number, (time, error) in known.items()}
 
 
-def compared(seed: int, found: Mapping[int, tuple[float, float]]) -> list[Compared]:
+def compared(
+    seed: int, found: Mapping[int, tuple[float, float]], kinds: Sequence[str] = KINDS
+) -> list[Compared]:
     """Compare driven times and errors with the model's.
 
     Parameters
@@ -129,10 +133,12 @@ def compared(seed: int, found: Mapping[int, tuple[float, float]]) -> list[Compar
         Of the programs.
     found : mapping of int to tuple of float
         By number of the program [s, m].
+    kinds : sequence of str
+        Kinds of programs, by turns.
     """
     rows = []
     for number, (time, error) in found.items():
-        program = short_program(seed, number)
+        program = short_program(seed, number, kinds)
         own = simulated(program)
         rows.append(Compared(number, program.kind, (time, own[0]), (error, own[1])))
     return rows
@@ -146,7 +152,7 @@ def agreement_table(rows: Sequence[Compared]) -> Table:
         Column('largest difference um'),
     )  # fmt: skip
     cells = []
-    for kind in (*KINDS, 'all'):
+    for kind in (*dict.fromkeys(row.kind for row in rows), 'all'):
         own = [row for row in rows if kind in (row.kind, 'all')]
         times, errors = (
             [getattr(row, f'{name}_ratio') for row in own] for name in ('time', 'error')

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +14,12 @@ KINDS = (
     'two lines', 'slow block', 'small angles', 'line and arc', 'arcs', 'lines and arcs',
     'lines in space', 'helix',
 )  # fmt: skip
+PLUNGES = ('plunge',)
+"""Kinds that were drawn by themselves."""
 BATCH = 20
 """Programs that share an acceleration."""
+MACHINE_CONSTANT = 2.15e-4
+"""Error of the built-in machine in a bend by the acceleration across it [s^2]."""
 LONGEST = 1.0
 """Time that a block may take at its feed; a slower feed is raised [s]."""
 
@@ -26,7 +31,7 @@ class ShortProgram:
     Parameters
     ----------
     kind : str
-        One of `KINDS`.
+        One of `KINDS` or `PLUNGES`.
     text : str
         Path mode and blocks.
     acceleration : tuple of float, length 3
@@ -59,8 +64,8 @@ class _Pen:
         way[2] = length * np.sin(slope)
         self._go('G1', way, '', length, feed)
 
-    def arc(self, radius: float, sweep: float, climb: float = 0.0) -> None:
-        """Go round a bend [mm, rad]."""
+    def arc(self, radius: float, sweep: float, climb: float = 0.0, same: bool = False) -> None:
+        """Go round a bend [mm, rad], with the same feed as before or one that may be drawn."""
         sign = self._sign()
         out = np.array([-np.sin(self._heading), np.cos(self._heading), 0.0]) * sign * radius
         self._heading += sign * sweep
@@ -68,7 +73,20 @@ class _Pen:
         way = out + back
         way[2] = climb
         word = f' I{out[0]:.7f} J{out[1]:.7f}'
-        self._go('G3' if sign > 0 else 'G2', way, word, radius * sweep, None)
+        feed = self.feed if same else None
+        self._go('G3' if sign > 0 else 'G2', way, word, radius * sweep, feed)
+
+    def rapid(self, length: float, rise: float = 0.0) -> None:
+        """Go straight as a rapid [mm], and up."""
+        way = np.array([np.cos(self._heading), np.sin(self._heading), 0.0]) * length
+        way[2] = rise
+        self._at = self._at + way
+        x, y, z = self._at
+        self.lines.append(f'G0 X{x:.7f} Y{y:.7f} Z{z:.7f}\n')
+
+    def plunge(self, depth: float, feed: float) -> None:
+        """Go down [mm]."""
+        self._go('G1', np.array([0.0, 0.0, -depth]), '', depth, feed)
 
     def length(self) -> float:
         """Draw the length of a block [mm]."""
@@ -93,13 +111,13 @@ class _Pen:
         self.lines.append(f'{word} X{x:.7f} Y{y:.7f} Z{z:.7f}{rest} F{self.feed:.3f}\n')
 
 
-def short_program(seed: int, number: int) -> ShortProgram:
+def short_program(seed: int, number: int, kinds: Sequence[str] = KINDS) -> ShortProgram:
     """Return the program of a number; those of a batch have one acceleration."""
     batch = np.random.default_rng([seed, 1, number // BATCH])
     rise = float(np.exp(batch.uniform(np.log(0.1), np.log(5.0))))
     shares = batch.uniform(0.4, 1.0, 3) if batch.random() < 0.2 else np.ones(3)
     random = np.random.default_rng([seed, 2, number])
-    kind = KINDS[number % len(KINDS)]
+    kind = kinds[number % len(kinds)]
     pen = _Pen(random)
     _WRITERS[kind](pen, random)
     text = _mode(random) + ''.join(pen.lines)
@@ -187,11 +205,25 @@ def _helix(pen: _Pen, random: np.random.Generator) -> None:
     pen.line(pen.length())
 
 
+def _plunge(pen: _Pen, random: np.random.Generator) -> None:
+    """Plunges after rapids, and bends whose steady error may hide what a rapid leaves."""
+    steady = float(np.exp(random.uniform(np.log(0.005), np.log(0.05))))
+    for _ in range(random.integers(2, 5)):
+        pen.rapid(pen.length(), rise=float(random.choice([0.0, 1.0])))
+        for _ in range(random.integers(1, 4)):
+            feed = float(np.exp(random.uniform(np.log(20.0), np.log(600.0))))
+            pen.plunge(float(random.uniform(0.02, 0.3)), feed)
+    radius = float(np.exp(random.uniform(np.log(0.3), np.log(3.0))))
+    # mm/min at which axes of the built-in machine cut the bend by so much
+    pen.feed = 60.0 * np.sqrt(steady * radius / MACHINE_CONSTANT)
+    pen.arc(radius, float(random.uniform(0.5, 1.9) * np.pi), same=True)
+
+
 _WRITERS = dict(
     zip(
-        KINDS,
+        (*KINDS, *PLUNGES),
         (_two_lines, _slow_block, _small_angles, _line_and_arc, _arcs, _lines_and_arcs,
-         _lines_in_space, _helix),
+         _lines_in_space, _helix, _plunge),
         strict=True,
     )
 )  # fmt: skip
