@@ -387,8 +387,11 @@ class Actions:
             return await self._stop_recorder(machine)
         if self._bags is None:
             raise GraphError('expected a folder for bags; set the parameter bags of dashboard')
-        if self.recording(machine) is not None or 'recorder' in view.living_nodes:
-            raise GraphError(f'{machine} is recorded already; stop that recording first')
+        recorded = f'{machine} is recorded already; stop that recording first'
+        if self.recording(machine) is not None:
+            raise GraphError(recorded)
+        # A recorder that has just ended is told of for a moment longer.
+        await self._until(lambda: 'recorder' not in view.living_nodes, recorded, PATIENCE)
         bag = _new_bag(self._bags, machine, time.time())
         process = await _in_time(
             self._starter.submit(self._start_recorder, machine, bag),

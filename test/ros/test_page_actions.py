@@ -338,3 +338,30 @@ def test_a_node_that_was_shut_down_cannot_be_activated(record, monkeypatch):
     with pytest.raises(GraphError, match='compensator was shut down for good; end its process'):
         asyncio.run(actions.act(MILL, 'activate', {}))
     assert node.heard == []
+
+
+def test_a_recording_begins_though_the_last_recorder_is_still_told_of(record):
+    """It has ended; the graph says so a moment later."""
+
+    class View(SimpleNamespace):
+        told = iter([('recorder',), ('recorder',), ()])
+
+        @property
+        def living_nodes(self):
+            return next(self.told)
+
+    actions = record()
+    actions.join('mill')
+    asyncio.run(actions.act(View(machine='mill', stamp=0), 'record', {'start': True}))
+    process, _ = actions._recorders['mill']
+    process.kill()
+    assert process.wait(HANG)
+
+
+def test_a_recorder_of_somebody_else_is_no_second_one(record, monkeypatch):
+    monkeypatch.setattr(page_actions, 'PATIENCE', 0.0)
+    view = SimpleNamespace(machine='mill', living_nodes=('recorder',), stamp=0)
+    actions = record()
+    actions.join('mill')
+    with pytest.raises(GraphError, match='recorded already'):
+        asyncio.run(actions.act(view, 'record', {'start': True}))

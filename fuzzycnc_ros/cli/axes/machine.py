@@ -329,6 +329,7 @@ def new(
     import os
     from dataclasses import replace
 
+    from fuzzycnc_ros.bags.atomic import is_written_through
     from fuzzycnc_ros.machine_file.linuxcnc_ini import read_linuxcnc_ini
     from fuzzycnc_ros.machine_file.reader import read_machine_file
     from fuzzycnc_ros.machine_file.writer import machine_text
@@ -356,7 +357,8 @@ def new(
         ini = os.path.relpath(linuxcnc_ini, out.parent)
     machine = replace(machine, name=name or out.stem if like == machine.name else machine.name)
     write_text(out, machine_text(machine, ini=ini, without=left_out))
-    read_machine_file(out)
+    if not is_written_through(out):  # a pipe has given all of it to its reader
+        read_machine_file(out)
     say(f'{out}: a machine file; see what it says with `fuzzycnc machine show {out}`')
 
 

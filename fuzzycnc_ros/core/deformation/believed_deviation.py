@@ -39,6 +39,8 @@ _PARTS = 5
 """Parts of a single run of which each stitch is in one: every fifth is held out."""
 _BLOCK = 8
 """Stitches in a row whose errors count as one: neighbours are not independent."""
+_BLOCK_MIN, _BLOCKS_MIN = 2, 6
+"""Blocks of a short track are shorter: three, one of them where the track begins, tell little."""
 _NEIGHBOURS = 4
 _ROUNDS = 8
 _TINY = 1e-12
@@ -103,7 +105,7 @@ def believed_deviation(
     known = ~outlier
     none = np.hypot(found[..., 0], found[..., 1])
     best = min(reaches, key=lambda reach: float(errors[reach][known].mean()))
-    blocks = np.arange(len(nominal)) // _BLOCK
+    blocks = np.arange(len(nominal)) // min(_BLOCK, max(len(nominal) // _BLOCKS_MIN, _BLOCK_MIN))
     masks = (known & (blocks == block) for block in range(int(blocks[-1]) + 1))
     # Shares, since a deviation that grows along the track differs more between blocks than chance.
     gains = np.array([
@@ -112,7 +114,7 @@ def believed_deviation(
         if mask.any()
     ])  # fmt: skip
     deviation = np.zeros_like(nominal)
-    if len(gains) > 1 and beyond_chance(gains, CHANCE):  # a single block tells nothing
+    if len(gains) > 2 and beyond_chance(gains, CHANCE):  # two blocks tell nothing
         deviation = _smoothed(*_mean(found, outlier), way, side, best)
     return BelievedDeviation(
         deviation, outlier, best, float(errors[best][known].mean()), float(none[known].mean())

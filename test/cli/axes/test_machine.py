@@ -3,6 +3,7 @@
 """`fuzzycnc machine`: new, show, check; and the commands that take a machine file."""
 
 import json
+import os
 
 import pytest
 
@@ -86,3 +87,20 @@ def test_feeds_are_those_of_the_machine(fuzzycnc, tmp_path):
         assert outcome.code in (0, 1), outcome.err
         times[machine] = (tmp_path / f'{machine}.ngc').read_text()
     assert times['mill'] != times['stiff.yaml']
+
+
+def test_a_new_machine_file_goes_through_a_pipe(fuzzycnc, tmp_path):
+    """What is read back is a file; a pipe has given its text to its reader."""
+    pipe = tmp_path / 'pipe'
+    os.mkfifo(pipe)
+    (tmp_path / 'link').symlink_to(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        outcome = fuzzycnc('machine', 'new', 'link')
+        text = os.read(reader, 1 << 16).decode()
+    finally:
+        os.close(reader)
+    assert outcome.code == 0, outcome.err
+    assert 'axes:' in text
+    assert pipe.is_fifo()
+    assert (tmp_path / 'link').is_symlink()

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Time of a sender of motion: the newest of records, deadlines, requests; it never goes back."""
 
+from dataclasses import replace
+
 import pytest
 from benches.feedrate_rig import SMALL, Rig, path_of
 from benches.joint_rig import JointRig
@@ -51,4 +53,14 @@ def test_late_deadline_does_not_set_the_time_back(sender):
     component, now = sender()
     list(component.on_deadline(now - 1))
     answer = component.on_request('deactivate', {}, now - 1)
+    assert {item.record.stamp for item in answer.emissions} == {now}
+
+
+@pytest.mark.parametrize('sender', [scheduler, joint_bridge])
+def test_late_record_does_not_set_the_time_back(sender):
+    """Inputs come from several nodes, and a record may be older than that of another input."""
+    component, now = sender()
+    state = component.last(component.FOLLOWED)
+    list(component.receive(component.FOLLOWED, replace(state, stamp=now - SECOND)))
+    answer = component.on_request('deactivate', {}, now - SECOND)
     assert {item.record.stamp for item in answer.emissions} == {now}

@@ -93,3 +93,27 @@ def test_two_stitches_teach_nothing():
     points = TRACK.points[:2]
     found = believed_deviation(points, points[np.newaxis] + 1e-3, ONE[:1])
     assert not found.corrects
+
+
+def short_track(points):
+    """Return an ellipse of few stitches, and a deviation that grows along it [m]."""
+    way = np.arange(points) / points
+    turn = 2.0 * np.pi * way
+    track = np.column_stack([0.075 + 0.038 * np.cos(turn), 0.05 + 0.025 * np.sin(turn)])
+    return track, np.column_stack([2e-3 * way * np.sin(turn), 1.5e-3 * way])
+
+
+@pytest.mark.parametrize('points', [16, 20, 30])
+def test_a_short_track_teaches_too_though_one_of_its_stitches_is_astray(points):
+    """Its deformation is ten times the noise; blocks as of long tracks would be two or three."""
+    track, true = short_track(points)
+    one = np.zeros(points - 1, np.int64)
+    learnt = invented = 0
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        noise = rng.normal(0.0, 1e-4, track.shape)
+        noise[rng.integers(points)] += 9e-3
+        learnt += believed_deviation(track, (track - true + noise)[np.newaxis], one).corrects
+        invented += believed_deviation(track, (track + noise)[np.newaxis], one).corrects
+    assert learnt >= 15
+    assert invented <= 1
