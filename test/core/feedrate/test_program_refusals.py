@@ -25,6 +25,7 @@ from fuzzycnc_ros.core.feedrate.gcode.writer import write_program
         ('F100\nG2 X5\n', 2, r'expected a centre \(I or J\) or a radius'),
         ('F100\nG2 X0 Y0 I0 J0\n', 2, 'radius does not fit'),
         ('F100\nG2 I5 P0.5\n', 2, 'whole number of turns'),
+        ('F100\nG2 I1000 P900\n', 2, r'1,000 m of an arc of several turns but found 5,655 m'),
         ('G0 X1\nG1 X2\n', 2, r'expected a feed above 0 \(F\).*none'),
         ('G0 X1\nG1 X2 F0\n', 2, 'but found 0'),
         ('G0 X1\nG1 X2 F-5\n', 2, 'but found F-5'),

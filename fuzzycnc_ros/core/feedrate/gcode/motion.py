@@ -299,7 +299,14 @@ def _arc(
                 + _remedy(state, words, (start2, end2, (offset[0], offset[1]))),
             )
         sweep = centred(start2, end2, centre, clockwise, _extra_turns(words, number, state))
-    return ArcSegment(number, begin, end, feed, False, turning, run, axes, centre, sweep)
+    arc = ArcSegment(number, begin, end, feed, False, turning, run, axes, centre, sweep)
+    if abs(sweep) > 2.0 * math.pi and arc.length > _LONGEST:
+        raise ProgramError(
+            number,
+            f'expected no more than {_LONGEST:,.0f} m of an arc of several turns but found '
+            f'{arc.length:,.0f} m; of no machine',
+        )
+    return arc
 
 
 def _misfit(state: State) -> float:
@@ -367,6 +374,9 @@ def _extra_turns(words: dict[str, float | None], number: int, state: State) -> i
             )
     return int(turns)
 
+
+_LONGEST = 1e3
+"""Length of an arc of several turns [m], beyond which it would take minutes to schedule."""
 
 _FARTHEST = 1e3
 """Way of repeated holes beyond which nobody knows where they end [m]."""
