@@ -24,7 +24,7 @@ from fuzzycnc_ros.bags.metadata import LATCHED, STREAM
 from fuzzycnc_ros.bags.typestore import ROSBAGS
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.core.names import repeated_names
-from fuzzycnc_ros.core.thermal.no_reading import values_without_reading
+from fuzzycnc_ros.core.thermal.no_reading import FAR, values_without_reading
 from fuzzycnc_ros.core.thermal.plausibility import (
     DISPLACEMENT_STEP,
     TEMPERATURE_STEP,
@@ -244,13 +244,15 @@ def _doubts(
 ) -> tuple[str, ...]:
     """Return what looks like a mistake."""
     temperature = recording.temperature
-    lone = list(lone_values(temperature, TEMPERATURE_STEP))
+    lone = list(lone_values(temperature, TEMPERATURE_STEP, FAR))
     doubts = _named_unit_lines(table, mapping, sensors)
     if not doubts:
         doubts = _temperature_line(mapping, temperature)
         if not clock:
             true = temperature.copy()
-            true[[item.row for item in lone], [item.column for item in lone]] = np.nan
+            for item in lone:
+                readings = true[item.row :, item.column]
+                readings[np.flatnonzero(np.isfinite(readings))[: item.held]] = np.nan
             doubts += _time_line(mapping, recording, true)
     columns = [channel.column for channel in mapping.channels]
     doubts += _lone_lines(table, sensors, lone, 1.0, 'degC')
@@ -358,8 +360,9 @@ def _lone_lines(
     found = sorted(lone)
     lines = [
         f', line {table.lines[item.row]}, column {columns[item.column]!r}: '
-        f'{item.value * scale:.4g} {unit} stands alone {item.neighbours(scale)}; if nothing of '
-        'the kind happened, empty the cell'
+        f'{item.value * scale:.4g} {unit}{f" in {item.held} rows" if item.held > 1 else ""} '
+        f'stands alone {item.neighbours(scale)}; if nothing of the kind happened, empty the '
+        f'cell{"s" if item.held > 1 else ""}'
         for item in found[:LINES_MAX]
     ]
     if len(found) > LINES_MAX:

@@ -23,6 +23,10 @@ RECOVERED_MIN, RECOVERED_MAX = 60.0, 3600.0
 """Shortest and longest machine time [s] for that."""
 
 
+OTHER_CLOCK = 365.0 * 86400.0
+"""Age of the newest message from which its stamp is of another clock than the node's [s]."""
+
+
 def input_health(merger: Merger, now: int) -> list[Health]:
     """Say which stream inputs are late or lose records, and which of all got nonsense.
 
@@ -61,6 +65,12 @@ def input_health(merger: Merger, now: int) -> list[Health]:
             meaning = merger.component.silence(declared.name, count.last)
             level = Level.ERROR if meaning else Level.WARN
             text = f'late: newest is {age:.1f} s old, usual interval {usual:.1f} s'
+            if age > OTHER_CLOCK:
+                text = (
+                    'stamps are of another clock: the newest is at '
+                    f'{count.newest / SECOND:.1f} s, long past; if a CSV file is played, set '
+                    'csv_rate to 1'
+                )
             text += f'; {meaning}' if meaning else ''
             items.append(Health(declared.name, level, text, values))
         elif count.amiss_at is not None and now - count.amiss_at < round(recovery * SECOND):

@@ -637,6 +637,15 @@ def test_single_values_are_named_with_line_and_column(importing):
     assert all(doubt.endswith('empty the cell') for doubt in doubts)
 
 
+@pytest.mark.parametrize('said', ['-1', '1', '100', '-17.8'])
+def test_one_value_held_far_off_is_named_once(importing, said):
+    """What some device says without a reading, though a machine may have it."""
+    text = table(change=both(*(cell(row, 1, said) for row in range(50, 58))))
+    (doubt,) = importing(text).doubts
+    assert f"line 51, column 'a': {said} degC in 8 rows stands alone between 30." in doubt
+    assert doubt.endswith('empty the cells')
+
+
 def test_many_single_values_are_counted(importing):
     text = table(change=both(*(cell(row, 1, '83') for row in range(10, 60, 10))))
     assert importing(text).doubts[-1].endswith('2 more values in degC stand alone like these')

@@ -207,3 +207,14 @@ def test_silence_after_the_last_part_of_a_path_is_no_warning():
         merger.push('trajectory', part)
     (item,) = (i for i in input_health(merger, 7200 * SECOND) if i.name == 'trajectory')
     assert item.level is Level.WARN
+
+
+def test_stamps_of_another_clock_are_said_to_be_so():
+    """A played file whose times begin at 0, at another rate than 1."""
+    merger = Merger(Compensator())
+    for tick in range(3):
+        merger.push('compensation_applied', applied(0.2 * tick))
+    item = read_back(merger, 1795854962.0)
+    assert item.level is Level.WARN
+    assert item.message.startswith('stamps are of another clock: the newest is at 0.4 s')
+    assert 'csv_rate' in item.message

@@ -47,11 +47,13 @@ class Lone(NamedTuple):
     Parameters
     ----------
     row, column : int
-        Its place.
+        Its place, or its first one.
     before, value, behind : float
         The values; at an end both neighbours are those of the one side.
     place : {'between', 'before', 'behind'}
         Where the value is to these neighbours.
+    held : int
+        Readings in a row that have exactly this value.
     """
 
     row: int
@@ -60,13 +62,14 @@ class Lone(NamedTuple):
     value: float
     behind: float
     place: str
+    held: int = 1
 
     def neighbours(self, scale: float) -> str:
         """Return where the value stands, the neighbours multiplied by a scale."""
         return f'{self.place} {self.before * scale:.4g} and {self.behind * scale:.4g}'
 
 
-def lone_values(values: Array, step: float) -> Iterator[Lone]:
+def lone_values(values: Array, step: float, held: float = np.inf) -> Iterator[Lone]:
     """Yield the values (n, w) that stand alone, column by column.
 
     Parameters
@@ -75,13 +78,16 @@ def lone_values(values: Array, step: float) -> Iterator[Lone]:
         Readings; NaN where one is missing: the neighbours are the next that there are.
     step : float
         Difference to both neighbours that is never a mistake.
+    held : float
+        The same for several readings in a row of exactly one value.
 
     Notes
     -----
-    A value stands alone if it differs from both neighbours to the same side by more than `step`
-    and ten times the scatter of the column, and these from each other by no more than half as
-    much; at an end, where both are of one side and a fast rise looks alike, by no more than a
-    tenth.  The scatter is that of second differences, by their median: a slope is none, and a few
+    A value, however many readings in a row have it, stands alone if it differs from both
+    neighbours to the same side by more than `step` and ten times the scatter of the column, and
+    these from each other by no more than half as much; at an end, where both are of one side and a
+    fast rise looks alike, by no more than a tenth.  The scatter is that of second differences, by
+    their median: a slope is none, and a few
     spikes do not raise it.
     """
     for column, readings in enumerate(values.T):
@@ -91,6 +97,11 @@ def lone_values(values: Array, step: float) -> Iterator[Lone]:
         own = readings[rows]
         bend = own[1:-1] - 0.5 * (own[:-2] + own[2:])
         limit = max(step, NOISE_FACTOR * 1.4826 * float(np.median(np.abs(bend))))
+        first = np.flatnonzero(np.diff(own, prepend=np.nan) != 0.0)
+        if len(first) < 3:
+            continue
+        count = np.diff(first, append=len(own))
+        rows, own = rows[first], own[first]
         before = np.concatenate([own[[2]], own[:-1]])
         behind = np.concatenate([own[1:], own[[-3]]])
         left, right = own - before, own - behind
@@ -99,7 +110,7 @@ def lone_values(values: Array, step: float) -> Iterator[Lone]:
         share[[0, -1]] = 0.1
         lone = (
             ((left > 0.0) == (right > 0.0))
-            & (apart > limit)
+            & (apart > np.where(count > 1, max(limit, held), limit))
             & (np.abs(before - behind) < share * apart)
         )
         for at in np.flatnonzero(lone).tolist():
@@ -107,7 +118,13 @@ def lone_values(values: Array, step: float) -> Iterator[Lone]:
             near = (own[1], own[2]) if at == 0 else (before[at], behind[at])
             near = (own[-3], own[-2]) if at == len(own) - 1 else near
             yield Lone(
-                int(rows[at]), column, float(near[0]), float(own[at]), float(near[1]), place
+                int(rows[at]),
+                column,
+                float(near[0]),
+                float(own[at]),
+                float(near[1]),
+                place,
+                int(count[at]),
             )
 
 
