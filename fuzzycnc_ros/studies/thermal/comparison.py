@@ -191,12 +191,16 @@ def best_lines(comparison: 'Comparison') -> list[str]:
     """Return the best candidate that a machine can run, and what is better but only compared."""
     lines = [f'best candidate: {by_channel(best_candidates(comparison))}']
     rms, ours = comparison.rms(), best_candidates(comparison)
-    better = [
-        f'{candidate_label(name)} on {channel}, {micrometres(rms[name][number])} \u00b5m instead '
-        f'of {micrometres(rms[ours[channel] or UNCOMPENSATED][number])} \u00b5m'
-        for number, (channel, name) in enumerate(best_candidates(comparison, ()).items())
-        if name in COMPARED_ONLY
-    ]
+    better = []
+    for number, (channel, name) in enumerate(best_candidates(comparison, ()).items()):
+        if name not in COMPARED_ONLY:
+            continue
+        left = micrometres(rms[name][number])
+        own = micrometres(rms[ours[channel] or UNCOMPENSATED][number])
+        if left != own:
+            better.append(
+                f'{candidate_label(name)} on {channel}, {left} \u00b5m instead of {own} \u00b5m'
+            )
     if better:
         lines.append(f'better, but only compared, as no machine runs it: {"; ".join(better)}')
     return lines
