@@ -434,14 +434,17 @@ class Posterior:
         self.elapse(time - self._time)
 
     def _condense(self) -> None:
-        """Keep the older half of the window, up to the end of a run, as mean and covariance."""
+        """Keep the older half of the window as mean and covariance of the weights.
+
+        It ends with a run if it can; within one the drift is taken to have been forgotten.
+        """
         runs = np.array([probe.run for probe in self._probes])
-        end = int(np.searchsorted(runs, runs[len(runs) // 2]))
-        if not end:  # all of one run: its first probes are given up
-            self._probes = self._probes[-WINDOW:]
-            return
+        half = len(runs) // 2
+        end = int(np.searchsorted(runs, runs[half])) or half
         run, time, later = self._run, self._time, self._probes[end:]
-        self._probes, self._run, self._time = self._probes[:end], later[0].run, 0.0
+        within = runs[end - 1] == runs[end]
+        self._probes, self._run = self._probes[:end], later[0].run
+        self._time = later[0].time if within else 0.0
         self._rebuild()
         self._base = (self._run, self._mean[:-1].copy(), self._covariance[:-1, :-1].copy())
         self._probes, self._run, self._time = later, run, time

@@ -203,11 +203,19 @@ def test_old_probes_are_condensed_without_being_forgotten():
     np.testing.assert_allclose(known._covariance, whole._covariance, rtol=1e-5, atol=1e-16)
 
 
-def test_a_window_of_one_run_gives_up_its_first_probes():
-    known = Posterior(BASIS, SCALES)
-    follow(known, machine(7, 1, WINDOW + 4))
-    known.tune()
-    assert len(known._probes) == WINDOW
+def test_a_run_of_many_probes_is_condensed_within():
+    probes = machine(7, 1, WINDOW + 4)
+    known, whole = Posterior(BASIS, SCALES), Posterior(BASIS, SCALES)
+    follow(known, probes)
+    follow(whole, probes)
+    known._condense()
+    known._rebuild()
+    assert len(known._probes) == WINDOW // 2 + 2
+    expected, deviation = zip(*map(whole.predict, (probe[2] for probe in probes)), strict=True)
+    found = np.array([known.predict(probe[2]) for probe in probes])
+    # The drift of then is forgotten: not all digits, but what is known.
+    assert (np.abs(found[:, 0] - expected) < 0.3 * np.array(deviation)).all()
+    np.testing.assert_allclose(found[:, 1], deviation, rtol=0.1)
 
 
 @given(st.lists(st.tuples(st.integers(0, 4), st.floats(-1e-3, 1e-3)), max_size=60))
