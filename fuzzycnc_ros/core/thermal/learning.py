@@ -45,6 +45,12 @@ FEATURES_MAX = 350
 WINDOW = 64
 """Probes from which the scales are learnt; those before them are kept as mean and covariance."""
 
+FIRST = 4
+"""Probes from which on a single one does not change the scales."""
+
+FALSE_PROBE = float(portable.log(100e-6 / 0.005))
+"""Surprise of a false probe: one in 200 is, anywhere within 100 um [-, of a density in 1/m]."""
+
 TRUST = 8
 """How many probes the predicted variance is worth beside the squares that probes missed by [-]."""
 
@@ -217,10 +223,11 @@ class Posterior:
     Notes
     -----
     A probe is a Kalman update, O(p^2).  One that is improbable is doubted: it moves the expected
-    error to the border of the band and no further.  If the next one is improbable without it and
-    probable with it, both are learnt whole, else it is as if it had never been.  `tune` learns
-    the scales anew from the last probes, and the weights with them.  Everything is computed in a
-    fixed order with `portable`, so that a replay has the same digits on every processor.
+    error to the border of the band and no further.  If the next one is off alike the machine has
+    changed: it is known less, and both are learnt.  Else it is as if the first had never been.
+    `tune` learns the scales anew from the last probes, and the weights with them.  Everything is
+    computed in a fixed order with `portable`, so that a replay has the same digits on every
+    processor.
 
     Examples
     --------
@@ -301,20 +308,13 @@ class Posterior:
         if doubted is not None:
             self._probes.pop()
             self._rebuild()
-        if self._probable(probe):
+        if self._probable(probe) or self._probable_on_other_scales(probe):
             self._believe(probe)
             return Verdict.ACCEPTED
-        if doubted is not None:
-            before = self._square, self._squares
-            self._believe(doubted)
-            if self._probable(probe) or self._probable_on_other_scales(probe):
-                self._believe(probe)
-                return Verdict.ACCEPTED
-            self._square, self._squares = before
-            self._probes.pop()
-            self._rebuild()
-        elif self._probable_on_other_scales(probe):
-            self._believe(probe)
+        if doubted is not None and self._agree(doubted, probe):
+            self._forget()
+            for item in (doubted, probe):
+                self._believe(item)
             return Verdict.ACCEPTED
         self._doubted = probe
         expected, deviation = self.predict(features)
@@ -332,12 +332,14 @@ class Posterior:
             return
         if len(self._probes) > WINDOW:
             self._condense()
-        self.scales = self._likeliest(self._probes)
+        self.scales, _ = self._likeliest(self._evidence(self._probes))
         self._rebuild()
 
-    def _likeliest(self, probes: list[Probe]) -> Scales:
-        """Return the likeliest scales of some probes, searched from those in force."""
-        evidence = _Evidence(probes, self._base, self._basis.of_rises, self._units())
+    def _evidence(self, probes: list[Probe]) -> '_Evidence':
+        return _Evidence(probes, self._base, self._basis.of_rises, self._units())
+
+    def _likeliest(self, evidence: '_Evidence') -> tuple[Scales, float]:
+        """Return the likeliest scales, searched from those in force, and their surprise."""
         found = self.scales
         best = evidence.surprise(found)
         for step in (0.4, 0.2):
@@ -350,22 +352,42 @@ class Posterior:
                         if not surprise < best - 1e-6:
                             break
                         best, found = surprise, Scales(*tried)
-        return found
+        return found, best
 
     def _probable_on_other_scales(self, probe: Probe) -> bool:
         """Return whether scales that this probe speaks for as well make it probable.
 
-        Of a machine that moves more than most the first probes are improbable, and true.  If so
-        these scales are in force, else those from before.
+        Of a machine that moves more than most the first probes are improbable, and true.  One is
+        rather false where other scales would explain all probes before much worse.  If it is
+        true these scales are in force, else those from before.
         """
+        if len(self._probes) >= FIRST:
+            return False
         before = self.scales
-        self.scales = self._likeliest([*self._probes, probe])
+        usual = self._evidence(self._probes).surprise(before) if self._probes else 0.0
+        self.scales, found = self._likeliest(self._evidence([*self._probes, probe]))
         self._rebuild()
-        if self._probable(probe):
+        if found - usual < FALSE_PROBE and self._probable(probe):
             return True
         self.scales = before
         self._rebuild()
         return False
+
+    def _agree(self, one: Probe, other: Probe) -> bool:
+        """Return whether two improbable probes are off alike: the machine has changed."""
+        first, of_first = self.predict(one.features)
+        second, of_second = self.predict(other.features)
+        apart = (one.error - first) - (other.error - second)
+        variance = of_first * of_first + of_second * of_second
+        variance += one.noise * one.noise + other.noise * other.noise
+        return apart * apart <= GATE * GATE * variance
+
+    def _forget(self) -> None:
+        """Know the weights less by all that may be known beforehand, and no probes."""
+        weights = self._covariance[:-1, :-1] + np.diag(self._prior(self.scales))
+        self._base = (self._run, self._mean[:-1].copy(), weights)
+        self._probes = []
+        self._rebuild()
 
     def _probable(self, probe: Probe) -> bool:
         expected, deviation = self.predict(probe.features)

@@ -180,7 +180,24 @@ def test_a_jump_is_believed_when_the_next_probe_agrees():
     follow(known, probes[:-2])
     jumped = [(*probe[:3], probe[3] + 50e-6) for probe in probes[-2:]]
     assert follow(known, jumped) == [Verdict.REJECTED, Verdict.ACCEPTED]
+    assert known.due
+    known.tune()
     assert known.predict(jumped[-1][2])[0] == pytest.approx(jumped[-1][3], abs=2e-6)
+
+
+def test_two_false_probes_that_differ_teach_nothing():
+    probes = machine(5, 2, 8)
+    known = Posterior(BASIS, SCALES)
+    follow(known, probes[:-3])
+    false = [
+        (*probe[:3], probe[3] + off)
+        for probe, off in zip(probes[-3:-1], (60e-6, -60e-6), strict=True)
+    ]
+    assert follow(known, false) == [Verdict.REJECTED, Verdict.REJECTED]
+    assert follow(known, probes[-1:]) == [Verdict.ACCEPTED]
+    clean = Posterior(BASIS, SCALES)
+    follow(clean, [*probes[:-3], probes[-1]])
+    np.testing.assert_allclose(known._mean, clean._mean, rtol=1e-9, atol=1e-15)
 
 
 def test_first_probes_of_a_machine_that_moves_a_lot_are_believed():

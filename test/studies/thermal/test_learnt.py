@@ -1,10 +1,12 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from fuzzycnc_ros.core.thermal.learning import Basis, Learner
 from fuzzycnc_ros.core.thermal.run import ThermalDataError
 from fuzzycnc_ros.simulation.thermal.duties import record_runs
 from fuzzycnc_ros.studies.page.html import render_page
@@ -104,3 +106,65 @@ def test_lines_name_where_the_last_probe_does_better(found):
     assert any('1 of 6 probes doubted' in line for line in lines)
     assert any('on Y, Z the last probe, held, does better' in line for line in lines)
     assert not any('does better' in line for line in learnt.learnt_lines(found[1:]))
+
+
+FALSE = {
+    'chip of 10 um': lambda error, last: error + 10e-6,
+    'chip of 20 um': lambda error, last: error + 20e-6,
+    'chip of 50 um': lambda error, last: error + 50e-6,
+    'chip of 200 um': lambda error, last: error + 200e-6,
+    'chip below': lambda error, last: error - 20e-6,
+    'edge missed': lambda error, last: error - 100e-6,
+    'other sign': lambda error, last: -error,
+    'not measured': lambda error, last: 0.0 * error,
+    'radius for diameter': lambda error, last: 0.5 * error,
+    'diameter for radius': lambda error, last: 2.0 * error,
+    'mm read as inches': lambda error, last: 25.4 * error,
+    'inches read as mm': lambda error, last: error / 25.4,
+    'um read as mm': lambda error, last: 1e3 * error,
+    'mm read as um': lambda error, last: 1e-3 * error,
+    'a digit too many': lambda error, last: 10.0 * error,
+    'a digit too few': lambda error, last: 0.1 * error,
+    'the last value again': lambda error, last: last,
+    'one channel': lambda error, last: error + np.array([np.nan, 30e-6]),
+    'the other channel': lambda error, last: error + np.array([30e-6, np.nan]),
+    'both apart': lambda error, last: error + np.array([40e-6, -40e-6]),
+}
+
+
+@pytest.fixture(scope='module')
+def taught():
+    """Return a learner an hour into its fourth run, that run, and how it goes on."""
+    days = [few(run) for run in record_runs(seed=4).values()]
+    learner = Learner(Basis(len(days[0].sensor), True, days[0].interval), 2)
+    for run in days[:3]:
+        walk(learner, run, range(len(run.time)))
+        learner.begin_run()
+    walk(learner, days[3], range(61))
+    return learner, days[3]
+
+
+def walk(learner, run, rows, every=60):
+    """Let a learner follow rows of a run, probed in every one of so many after the first."""
+    rise, noise = run.rise(), np.full(2, 0.5e-6)
+    for row in rows:
+        learner.step(rise[row], float(run.spindle_speed[row]))
+        if row > rows[0] and row % every == 0 and row < rows[-1]:
+            learner.probe(run.displacement[row], noise)
+
+
+def known(learner):
+    return np.array([item.predict(learner._features) for item in learner.posteriors]).T
+
+
+@pytest.mark.parametrize('kind', FALSE)
+def test_a_false_probe_moves_no_further_than_the_band_and_is_gone_two_probes_later(taught, kind):
+    learner, run = taught
+    expected, deviation = known(learner)
+    false = FALSE[kind](run.displacement[60], run.displacement[0])
+    spoilt, spared = deepcopy(learner), deepcopy(learner)
+    spoilt.probe(np.asarray(false), np.full(2, 0.5e-6))
+    assert (np.abs(known(spoilt)[0] - expected) <= 2.0 * deviation * (1.0 + 1e-9)).all()
+    for item in (spoilt, spared):
+        walk(item, run, range(61, 122), every=30)
+    np.testing.assert_allclose(known(spoilt)[0], known(spared)[0], rtol=0.0, atol=1e-9)

@@ -401,7 +401,7 @@ CONTENDERS: Mapping[str, Contender] = MappingProxyType(
 """How each of `CANDIDATES` is fitted, in the order of tables."""
 
 
-RIDGE = ('static_ridge', 'lag_ridge', 'lag_ridge_speed')
+RIDGE_FORMS = ('static_ridge', 'lag_ridge', 'lag_ridge_speed')
 """Candidates that are in use unless another form is better beyond chance."""
 
 DIVERGED = 3.0
@@ -565,7 +565,7 @@ def preferred(
     level = log_residual(square)
     rivals = max(1, len(models) - 1)
     overall = np.nanmean(level, axis=1)
-    usual = [n for n, name in enumerate(names) if name in RIDGE]
+    usual = [n for n, name in enumerate(names) if name in RIDGE_FORMS]
     linear = [
         n for n, item in enumerate(models) if not (item.contender and item.contender.network)
     ]
