@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from bag_libraries import need_bag_libraries
 
 from fuzzycnc_ros.bags.typestore import ROSBAGS
 from fuzzycnc_ros.components.thermal import kept_samples
@@ -74,6 +75,7 @@ def test_a_predictor_that_hears_fast_knows_all_of_the_time_that_matters(monkeypa
 
 def test_records_of_equal_names_hold_them_once():
     """A thousand names take six times the room of their temperatures."""
+    need_bag_libraries()
     first, second = (
         decode(Temperatures, encode(sample(stamp, sensors=20), ROSBAGS)) for stamp in (1, 2)
     )

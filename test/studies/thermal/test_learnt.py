@@ -87,7 +87,7 @@ def test_probes_faster_than_samples_are_refused(runs):
         next(learnt.learn_runs(runs, 10.0))
 
 
-def test_figures_and_page(found):
+def test_figures_and_table(found):
     document = learnt.learnt_document(found)
     channel = document['runs'][found[1].run]['Y']
     assert channel['residual']['learnt']['rms_um'] == pytest.approx(
@@ -96,6 +96,10 @@ def test_figures_and_page(found):
     assert 0.0 <= channel['band']['unprobed']['covered'] <= 1.0
     table = learnt.learnt_table(found)
     assert [row[0] for row in table.rows] == [item.run for item in found]
+
+
+def test_page_shows_every_run(found):
+    pytest.importorskip('matplotlib', reason='matplotlib is not installed')
     page = render_page(learnt.learnt_page(found, {'Machine': 'mill'}))
     assert all(f'{item.run}: error, prediction and probes' in page for item in found)
 
