@@ -45,6 +45,9 @@ FEATURES_MAX = 350
 WINDOW = 64
 """Probes from which the scales are learnt; those before them are kept as mean and covariance."""
 
+KNOWN_MIN = 1e-18
+"""Least variance of a prediction [m^2]: below a nanometre there is nothing but rounding."""
+
 FIRST = 4
 """Probes from which on a single one does not change the scales."""
 
@@ -283,7 +286,7 @@ class Posterior:
         row = np.append(features, 1.0)
         variance = portable.matmul(portable.matmul(self._covariance, row), row)
         variance *= self._square / self._squares
-        return float(portable.matmul(row, self._mean)), float(np.sqrt(max(variance, 0.0)))
+        return float(portable.matmul(row, self._mean)), float(np.sqrt(max(variance, KNOWN_MIN)))
 
     def update(self, features: Array, error: float, noise: float) -> Verdict:
         """Learn from a probe.
