@@ -12,6 +12,14 @@ Seed = int | np.random.Generator | None
 """What seeds an estimator; None draws fresh entropy, and no global state is ever touched."""
 
 
+def mean_of_measured(values: Array, axis: int) -> Array:
+    """Return the mean along an axis of what is not NaN, NaN where nothing is."""
+    measured = ~np.isnan(values)
+    count = measured.sum(axis=axis)
+    total = np.where(measured, values, 0.0).sum(axis=axis)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
 def check_matrix(samples: ArrayLike, name: str = 'X') -> Array:
     """Return `samples` as a finite matrix of doubles.
 

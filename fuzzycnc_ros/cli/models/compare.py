@@ -188,8 +188,7 @@ def compare(
     )
     with progress_bar('reading') as tell:
         read = with_each(work, there, processes, tell)
-    unread = {item.bag.name for item in read.bad}
-    named = [bag for bag in there if bag.name not in unread]
+    named = read.used(there)
     alike = without_odd(named, read.results)
     runs = alike.results
     interval = training_interval(runs, interval)

@@ -130,9 +130,8 @@ def curve(
     if report is not None:
         from fuzzycnc_ros.studies.page.recorded import recording_facts
 
-        unused = {item.bag.name for item in found.bad}
         facts = {
-            **recording_facts([bag.path for bag in there if bag.name not in unused]),
+            **recording_facts([bag.path for bag in found.used(there)]),
             'Runs': ', '.join(run.name for run in runs),
             'Sampling interval': f'{interval:g} s',
             'Seed': str(seed),

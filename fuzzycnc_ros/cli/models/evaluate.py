@@ -129,7 +129,6 @@ def evaluate(
         fuzzycnc evaluate spindle --model spindle.json --probe-every 60min --report spindle.html
         fuzzycnc evaluate monday tuesday wednesday --from-nothing --carry --probe-every 60min
     """
-    from fuzzycnc_ros.cli.models.evaluate_learning import evaluate_from_nothing
     from fuzzycnc_ros.cli.models.train import default_text, problem_lines
     from fuzzycnc_ros.core.thermal.fit.evaluation import false_bands
     from fuzzycnc_ros.core.thermal.model import load_model
@@ -141,6 +140,8 @@ def evaluate(
         every = quantity('--probe-every', probe_every, DURATIONS, example='60min')
     check_folder(report, json_file)
     if from_nothing:
+        from fuzzycnc_ros.cli.models.evaluate_learning import evaluate_from_nothing
+
         if model is not None or every is None:
             raise ValueError(
                 '--from-nothing: expected --probe-every and no --model, since all is learnt from '
@@ -174,8 +175,9 @@ def evaluate(
         probe_every=every,
         page=report is not None,
     )
+    there = find_bags(bags)
     with progress_bar('evaluating') as tell:
-        found: Sorted[Judged] = with_each(work, find_bags(bags), processes, tell)
+        found: Sorted[Judged] = with_each(work, there, processes, tell)
     judged = [item.evaluation for item in found.results]
     bands = [run_band_remark(item, len(judged)) for item in judged]
     lines = [band for band in bands if band.warning] + overall_band_remarks(judged)
@@ -202,10 +204,8 @@ def evaluate(
     if report is not None:
         from fuzzycnc_ros.studies.page.recorded import recording_facts
 
-        bad = {item.bag.name for item in found.bad}
-        used = [bag for bag in find_bags(bags) if bag.name not in bad]
         pages = [item.page for item in found.results if item.page is not None]
-        facts = recording_facts([bag.path for bag in used])
+        facts = recording_facts([bag.path for bag in found.used(there)])
         _write_report(report, pages, lines, trained, document, probed, facts)
     write_json(json_file, _document(found, model, trained, document))
     if found.bad or false_bands(judged):

@@ -33,10 +33,10 @@ def evaluate_from_nothing(
     from fuzzycnc_ros.studies.thermal import learnt
 
     noise = quantity('--probe-noise', probe_noise, LENGTHS, example='0.5um')
-    found = []
+    there, found = find_bags(bags), []
     with progress_bar('learning') as tell:
         read = runs_of(
-            find_bags(bags),
+            there,
             None,
             tell,
             skip=True,
@@ -53,8 +53,7 @@ def evaluate_from_nothing(
         say(line)
     say_bad(read.bad)
     if report is not None:
-        bad = {item.bag.name for item in read.bad}
-        paths = [bag.path for bag in find_bags(bags) if bag.name not in bad]
+        paths = [bag.path for bag in read.used(there)]
         write_report(report, learnt.learnt_page(found, recording_facts(paths)))
     document = learnt.learnt_document(found)
     document['left_out'] = {item.bag.name: item.reason for item in read.bad}

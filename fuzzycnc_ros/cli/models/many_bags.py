@@ -67,6 +67,11 @@ class Sorted(Generic[Result]):
     results: tuple[Result, ...]
     bad: tuple[BadBag, ...]
 
+    def used(self, bags: Sequence[NamedBag]) -> list[NamedBag]:
+        """Return those of the bags that were not left out."""
+        bad = {item.bag.name for item in self.bad}
+        return [bag for bag in bags if bag.name not in bad]
+
 
 def with_each(
     work: 'Callable[[NamedBag, Progress], Result]',

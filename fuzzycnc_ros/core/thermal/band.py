@@ -7,15 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from fuzzycnc_ros.core import portable
-from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.arrays import Array, mean_of_measured
 
 
 def mean_of_square(residual: Array) -> Array:
     """Return the mean square of each column (n, c) over what is not NaN, NaN if nothing is."""
-    measured = ~np.isnan(residual)
-    total = np.where(measured, residual, 0.0)
-    count = measured.sum(axis=0)
-    return np.where(count > 0, (total * total).sum(axis=0) / np.maximum(count, 1), np.nan)
+    return mean_of_measured(np.square(residual), 0)
 
 
 def largest_of(residual: Array) -> Array:
@@ -60,10 +57,7 @@ def log_residual(square: Array) -> Array:
     ndarray, shape (..., c)
         Logarithm of the root mean square; NaN where no fold has measured the channel.
     """
-    measured = ~np.isnan(square)
-    total = np.where(measured, square, 0.0).sum(axis=-2)
-    count = measured.sum(axis=-2)
-    mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    mean = mean_of_measured(square, -2)
     return np.asarray(0.5 * portable.log(np.maximum(mean, RESIDUAL_MIN * RESIDUAL_MIN)))
 
 

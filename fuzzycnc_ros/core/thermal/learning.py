@@ -24,7 +24,6 @@ from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.band import WIDTH
 from fuzzycnc_ros.core.thermal.probing import GATE, Verdict
-from fuzzycnc_ros.core.thermal.recursions.base import first_order_lags
 
 RISE_LAGS = (600.0, 1800.0, 5400.0)
 """Lags of the rises [s]; with those of the speed the likeliest of six sets on the simulated mill
@@ -86,8 +85,8 @@ class Basis:
 
     def __post_init__(self) -> None:
         """Refuse what gives no features, or too many."""
-        if not 1 <= self.sensors <= (FEATURES_MAX - 2 * len(SPINDLE_LAGS)) // (1 + len(RISE_LAGS)):
-            most = (FEATURES_MAX - 2 * len(SPINDLE_LAGS)) // (1 + len(RISE_LAGS))
+        most = (FEATURES_MAX - 2 * len(SPINDLE_LAGS)) // (1 + len(RISE_LAGS))
+        if not 1 <= self.sensors <= most:
             raise ValueError(
                 f'sensors: expected 1 to {most} to learn from, but found {self.sensors}; choose '
                 'those that stand for the others'
@@ -121,19 +120,6 @@ class Basis:
         """
         state = state + self._share * (self._drive(rise, np.asarray(speed)) - state)
         return np.concatenate((rise, state)), state
-
-    def run(self, rise: Array, speed: Array) -> Array:
-        """Return the features (n, p) of a run from its thermal reference.
-
-        Parameters
-        ----------
-        rise : ndarray, shape (n, s)
-            Rises of the sensors [K].
-        speed : ndarray, shape (n,)
-            Spindle speed [rad/s].
-        """
-        drive = self._share * self._drive(rise, speed)
-        return np.hstack([rise, first_order_lags(1.0 - self._share, drive)])
 
     @cached_property
     def _share(self) -> Array:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.arrays import Array, mean_of_measured
 from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.core.remedies import RemediedError, Remedy
 from fuzzycnc_ros.core.thermal.sensor_limits import LIMIT_BOUNDS, USUAL, SensorLimits
@@ -66,18 +66,10 @@ def _even_blocks(
     return grid[block - 1 :: block], even.reshape(blocks, block, values.shape[1])
 
 
-def _mean_of_measured(values: Array) -> Array:
-    """Return the mean over axis 1 of what is not NaN, NaN where nothing is."""
-    measured = np.isfinite(values)
-    count = measured.sum(axis=1)
-    total = np.where(measured, values, 0.0).sum(axis=1)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
 def _mean_of_most(values: Array) -> Array:
     """Return the mean over axis 1 of what is not NaN, NaN unless that is more than half."""
     enough = 2 * np.isfinite(values).sum(axis=1) > values.shape[1]
-    return np.where(enough, _mean_of_measured(values), np.nan)
+    return np.where(enough, mean_of_measured(values, 1), np.nan)
 
 
 def _gaps_of(values: Array) -> Iterator[tuple[int, int, int]]:
@@ -299,7 +291,7 @@ class ThermalRun:
 
         NaN for one that read nothing.
         """
-        return np.asarray(_mean_of_measured(self.temperature[np.newaxis, :REFERENCE_SAMPLES])[0])
+        return mean_of_measured(self.temperature[:REFERENCE_SAMPLES], 0)
 
     def rise(self, reference: ArrayLike | None = None) -> NDArray[np.float64]:
         """Return temperature minus reference.
@@ -409,11 +401,11 @@ class ThermalRun:
             self,
             time=time,
             temperature=_mean_of_most(temperature),
-            displacement=_mean_of_measured(displacement),
+            displacement=mean_of_measured(displacement, 1),
             spindle_speed=None
             if self.spindle_speed is None
             # Heat goes with the square of the speed, and so must its mean.
-            else np.sqrt(_mean_of_measured(speed * speed))[:, 0],
+            else np.sqrt(mean_of_measured(speed * speed, 1))[:, 0],
         )
 
     def bridged(self) -> 'ThermalRun':

@@ -13,17 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.thermal.band import WIDTH, coverage
+from fuzzycnc_ros.core.thermal.band import WIDTH, coverage, mean_of_square
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.fit.training import at_interval, training_interval
 from fuzzycnc_ros.core.thermal.fit.training_runs import check_training_runs
 from fuzzycnc_ros.core.thermal.learning import Basis, Learner
 from fuzzycnc_ros.core.thermal.probing import Verdict
-from fuzzycnc_ros.core.thermal.run import JITTER_MAX, ThermalDataError, ThermalRun, speed_known
+from fuzzycnc_ros.core.thermal.run import JITTER_MAX, ThermalRun, speed_known
 from fuzzycnc_ros.studies.page.chart import Axis, Band, Chart, Panel, Rule, Series
 from fuzzycnc_ros.studies.page.drawing import AFTER, BEFORE, FAINT, MEASURED, MUTED, time_axis
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.thermal.probed import check_every
 from fuzzycnc_ros.studies.thermal.report_data import Score
 from fuzzycnc_ros.studies.thermal.summary import micrometres
 
@@ -120,11 +121,7 @@ def learn_runs(
     interval = training_interval(runs)
     even = [at_interval(run, interval) for run in runs]
     check_training_runs(even)
-    if every < interval * (1.0 - JITTER_MAX):
-        raise ThermalDataError(
-            f'probing: expected at least {interval:g} s between two probes, the sampling interval '
-            f'of the runs, but found {every:g} s; a probe acts from the next sample on'
-        )
+    check_every(every, interval, 'the runs')
     speed = all(speed_known(run) for run in even)
     basis = Basis(len(even[0].sensor), speed, interval)
     random = None if seed is None else np.random.default_rng(seed)
@@ -145,20 +142,17 @@ def _followed(
 ) -> LearntRun:
     """Let a learner follow a run from its reference to its end."""
     shape = run.displacement.shape
-    speed = run.spindle_speed if learner.basis.speed and run.spindle_speed is not None else None
-    speeds = np.zeros(shape[0]) if speed is None else speed
+    speeds = np.zeros(shape[0]) if run.spindle_speed is None else run.spindle_speed
     before = deepcopy(learner)
     predicted = {name: np.zeros(shape) for name in (UNCOMPENSATED, HELD, CARRIED, LEARNT)}
     deviation = {name: np.zeros(shape) for name in (CARRIED, LEARNT)}
     held, due = np.zeros(shape[1]), np.full(shape[1], run.time[0] + every)
-    number = np.zeros(shape, dtype=np.int64)  # probes before each sample
     probed, doubted = np.zeros(shape, dtype=np.bool_), np.zeros(shape[1], dtype=np.int64)
     slack = JITTER_MAX * learner.basis.interval
     for row, (rise, now) in enumerate(zip(run.rise(), speeds, strict=True)):
         for name, item in ((CARRIED, before), (LEARNT, learner)):
             predicted[name][row], deviation[name][row] = item.step(rise, float(now))
         predicted[HELD][row] = held
-        number[row] = probed[:row].sum(axis=0)
         taken = np.isfinite(probes[row]) & (run.time[row] >= due - slack)
         if not taken.any():
             continue
@@ -172,6 +166,7 @@ def _followed(
         name: [Score.of(*pair) for pair in zip((measured - values).T, measured.T, strict=True)]
         for name, values in predicted.items()
     }
+    number: NDArray[np.int64] = np.cumsum(probed, axis=0) - probed  # probes before each sample
     parts = {
         'before_the_first': number == 0,
         'first_four': (number > 0) & (number <= FIRST),
@@ -201,11 +196,9 @@ def _followed(
 
 def _half_width(residual: Array, deviation: Array) -> Array:
     """Return the half width of the band over the root mean square of a residual (n, c), (c,)."""
-    judged = np.isfinite(residual)
-    square = np.where(judged, residual, 0.0) ** 2
-    width = np.where(judged, WIDTH * deviation, 0.0) ** 2
-    with np.errstate(invalid='ignore', divide='ignore'):
-        return np.asarray(np.sqrt(width.sum(axis=0) / square.sum(axis=0)))
+    width = np.where(np.isnan(residual), np.nan, WIDTH * deviation)
+    with np.errstate(divide='ignore'):
+        return np.asarray(np.sqrt(mean_of_square(width) / mean_of_square(residual)))
 
 
 def learnt_table(found: Sequence[LearntRun]) -> Table:

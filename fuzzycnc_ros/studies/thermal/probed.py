@@ -110,11 +110,7 @@ def evaluate_probed(
         If `every` is shorter than the model's interval or longer than what is judged, or nothing
         was measured after the first probe.
     """
-    if every < model.interval * (1.0 - JITTER_MAX):
-        raise ThermalDataError(
-            f'probing: expected at least {model.interval:g} s between two probes, the sampling '
-            f'interval of the model, but found {every:g} s; a probe acts from the next sample on'
-        )
+    check_every(every, model.interval, 'the model')
     first, last = float(judged.time[0]), float(judged.time[-1])
     if every > last - first:
         raise ThermalDataError(
@@ -151,6 +147,21 @@ def evaluate_probed(
         time=judged.time,
         residual=residual,
     )
+
+
+def check_every(every: float, interval: float, owner: str) -> None:
+    """Refuse a time between two probes [s] that is shorter than the sampling interval [s] of one.
+
+    Raises
+    ------
+    ThermalDataError
+        If it is shorter.
+    """
+    if every < interval * (1.0 - JITTER_MAX):
+        raise ThermalDataError(
+            f'probing: expected at least {interval:g} s between two probes, the sampling interval '
+            f'of {owner}, but found {every:g} s; a probe acts from the next sample on'
+        )
 
 
 class _Track:

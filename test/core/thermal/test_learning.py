@@ -14,10 +14,13 @@ from processors import SETTINGS, result_under
 from scipy.stats import multivariate_normal, norm
 
 from fuzzycnc_ros.core.thermal import learning
+from fuzzycnc_ros.core.thermal.fit.linear import lag_features, poles_of_lags
 from fuzzycnc_ros.core.thermal.learning import (
     BREADTH,
     DRIFT_TIME,
     EXPECTED,
+    RISE_LAGS,
+    SPINDLE_LAGS,
     TRUST,
     WINDOW,
     Basis,
@@ -259,7 +262,10 @@ def test_covariance_stays_symmetric_and_positive(steps):
 def test_features_are_rises_speeds_and_their_lags():
     random = np.random.default_rng(0)
     rise, speed = random.normal(size=(30, 2)), 100.0 * random.normal(size=30)
-    whole = BASIS.run(rise, speed)
+    rows, size = [slice(0, 30)], np.abs(speed)[:, np.newaxis]
+    lags, of_speed = (poles_of_lags(item, 60.0) for item in (RISE_LAGS, SPINDLE_LAGS))
+    speeds = [lag_features(drive, rows, of_speed, direct=False) for drive in (size, size**2)]
+    whole = np.hstack([lag_features(rise, rows, lags), *speeds])
     assert whole.shape == (30, BASIS.features)
     state = BASIS.initial_state()
     for row in range(30):
