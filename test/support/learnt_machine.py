@@ -32,7 +32,8 @@ def follow(steps: int, seed: int, channels: int = 2) -> tuple[Learner, str]:
         elif chance < 1e-2:
             speed = float(random.uniform(0.0, 600.0))
         rise = rise + 0.02 * (np.array([0.05, 0.03, 0.01]) * speed - rise)
-        error, deviation = learner.step(rise, speed)
+        learner.step(rise, speed)
+        error, deviation = learner.predict()
         said.update(error.tobytes() + deviation.tobytes())
         if chance > 0.98:
             noise = np.full(channels, random.choice([0.3e-6, 1e-6, 20e-6]))
@@ -40,7 +41,7 @@ def follow(steps: int, seed: int, channels: int = 2) -> tuple[Learner, str]:
             probe = true + noise * random.uniform(-2.0, 2.0, channels)
             if chance > 0.998:
                 probe[random.integers(channels)] = random.choice(WRONG)
-            said.update(learner.probe(probe, noise).tobytes())
+            said.update(learner.probe(probe, noise, float(random.choice([0.0, 20.0]))).tobytes())
     return learner, said.hexdigest()
 
 

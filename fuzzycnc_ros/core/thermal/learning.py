@@ -56,6 +56,12 @@ FALSE_PROBE = float(portable.log(100e-6 / 0.005))
 TRUST = 8
 """How many probes the predicted variance is worth beside the squares that probes missed by [-]."""
 
+RUNS_MAX = 100_000
+"""Most runs from the first probe of a window to now."""
+
+_HEAD = 12
+"""Numbers of a posterior's state before its base and probes."""
+
 TUNED = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
 """Probes in the window after which the scales are learnt anew; so they are where it is full."""
 
@@ -224,16 +230,18 @@ class Posterior:
     >>> from fuzzycnc_ros.core.thermal.learning import Basis, Posterior
     >>> known = Posterior(Basis(1, False, 60.0))
     >>> warm = np.full(4, 10.0)
-    >>> print('{:.0f} +- {:.0f} um'.format(*(1e6 * value for value in known.predict(warm))))
-    0 +- 30 um
-    >>> verdict = known.update(warm, 22e-6, 0.5e-6)
-    >>> print('{:.0f} +- {:.1f} um'.format(*(1e6 * value for value in known.predict(warm))))
-    22 +- 0.5 um
+    >>> said = lambda: '{:.0f} +- {:.1f} um'.format(*1e6 * np.array(known.predict(warm, 3600.0)))
+    >>> said()
+    '0 +- 30.0 um'
+    >>> verdict = known.update(warm, 3600.0, 22e-6, 0.5e-6)
+    >>> said()
+    '22 +- 0.5 um'
     """
 
     def __init__(self, basis: Basis, scales: Scales = EXPECTED) -> None:
         self.scales = scales
         self._basis = basis
+        # Mean and covariance are those of the last event, this time after the run's reference.
         self._run, self._time, self._fastest = 0, 0.0, SPEED_UNIT
         self._base: tuple[int, Array, Array] | None = None
         self._probes: list[Probe] = []
@@ -247,40 +255,94 @@ class Posterior:
         """Whether the scales are to be learnt anew after the last probe."""
         return len(self._probes) in TUNED or len(self._probes) > WINDOW
 
+    @property
+    def state(self) -> Array:
+        """Flat array of finite doubles, from which the same digits follow as from this one."""
+        doubted = 0.0 if self._doubted is None else self._doubted.noise
+        head = [self._run, self._time, self._fastest, self._square, self._squares, *self.scales]
+        parts = [np.array([*head, doubted, len(self._probes), self._base is not None], np.float64)]
+        if self._base is not None:
+            run, mean, covariance = self._base
+            parts += [np.array([float(run)]), mean, covariance[np.triu_indices(len(mean))]]
+        for probe in self._probes:
+            measured = [float(probe.run), probe.time, probe.error, probe.noise]
+            parts += [np.array(measured), probe.features]
+        return np.concatenate(parts)
+
+    @state.setter
+    def state(self, values: Array) -> None:
+        size = self._basis.features
+        triangle = size * (size + 1) // 2
+        if len(values) < _HEAD or not np.isfinite(values).all():
+            raise ValueError(f'state: expected {_HEAD} finite numbers or more')
+        head = np.asarray(values[:_HEAD], dtype=np.float64)
+        doubted, count, based = float(head[-3]), int(head[-2]), bool(head[-1])
+        rest = np.asarray(values[_HEAD:], dtype=np.float64)
+        of_base = based * (1 + size + triangle)
+        if not 0 <= count <= WINDOW + 1 or len(rest) != of_base + count * (4 + size):
+            raise ValueError(
+                f'state: expected {count} probes of {size} features, but found {len(rest)} numbers'
+            )
+        if not (head[2:9] > 0.0).all() or head[:2].min() < 0.0 or not doubted >= 0.0:
+            raise ValueError('state: expected scales and times of 0 or more')
+        base = None
+        if based:
+            covariance = np.zeros((size, size))
+            covariance[np.triu_indices(size)] = rest[1 + size : of_base]
+            covariance = covariance + np.triu(covariance, 1).T
+            base = (int(rest[0]), rest[1 : 1 + size], covariance)
+        table = rest[of_base:].reshape(count, 4 + size)
+        probes = [
+            Probe(int(row[0]), float(row[1]), row[4:], *map(float, row[2:4])) for row in table
+        ]
+        runs = [base[0] if base else 0, *(probe.run for probe in probes), int(head[0])]
+        if runs != sorted(runs) or runs[-1] - runs[0] > RUNS_MAX or (doubted and not probes):
+            raise ValueError('state: expected probes in the order of their runs')
+        if any(probe.noise <= 0.0 for probe in probes):
+            raise ValueError('state: expected probes with a noise above 0')
+        self._run, self._time, self._fastest = int(head[0]), float(head[1]), float(head[2])
+        self._square, self._squares = float(head[3]), int(head[4])
+        self.scales = Scales(*head[5:9].tolist())
+        self._base, self._probes = base, probes
+        self._doubted = probes[-1]._replace(noise=doubted) if doubted else None
+        self._rebuild()
+        if not (np.isfinite(self._covariance).all() and self._covariance.diagonal().min() > 0.0):
+            raise ValueError('state: expected a positive covariance')
+
     def begin_run(self) -> None:
         """Begin a run at its thermal reference: the weights change a little, the drift anew."""
         self._run, self._time = self._run + 1, 0.0
         self._carry()
 
-    def elapse(self, time: float) -> None:
-        """Let `time` [s] pass, in which the drift forgets."""
-        self._time += time
-        kept = portable.exp(-time / DRIFT_TIME)
-        self._mean[-1] *= kept
-        self._covariance[-1] *= kept
-        self._covariance[:, -1] *= kept
-        self._covariance[-1, -1] += (1.0 - kept * kept) * self.scales.drift_variance
-
-    def predict(self, features: Array) -> tuple[float, float]:
+    def predict(self, features: Array, time: float) -> tuple[float, float]:
         """Return the expected error and its standard deviation [m].
+
+        Nothing is written: the drift forgets between the last event and this time.
 
         Parameters
         ----------
         features : ndarray, shape (p,)
             Features of the sample.
+        time : float
+            Time since the thermal reference of the run [s].
         """
-        row = np.append(features, 1.0)
+        kept = portable.exp((self._time - max(time, self._time)) / DRIFT_TIME)
+        row = np.append(features, kept)
         variance = portable.matmul(portable.matmul(self._covariance, row), row)
+        variance += (1.0 - kept * kept) * self.scales.drift_variance
         variance *= self._square / self._squares
         return float(portable.matmul(row, self._mean)), float(np.sqrt(max(variance, KNOWN_MIN)))
 
-    def update(self, features: Array, error: float, noise: float) -> Verdict:
+    def update(self, features: Array, time: float, error: float, noise: float) -> Verdict:
         """Learn from a probe.
 
         Parameters
         ----------
         features : ndarray, shape (p,)
             Features of the sample at which was probed.
+        time : float
+            Time since the thermal reference of the run [s]; a probe from before the last one
+            counts as taken together with it.
         error : float
             Measured error [m].
         noise : float
@@ -291,8 +353,8 @@ class Posterior:
         Verdict
             Whether it is believed.
         """
+        self._elapse(max(time - self._time, 0.0))
         probe = Probe(self._run, self._time, features, error, noise)
-        self._fastest = max(self._fastest, self._speed_of(features))
         doubted, self._doubted = self._doubted, None
         if doubted is not None:
             self._probes.pop()
@@ -306,7 +368,7 @@ class Posterior:
                 self._believe(item)
             return Verdict.ACCEPTED
         self._doubted = probe
-        expected, deviation = self.predict(features)
+        expected, deviation = self.predict(features, self._time)
         excess = abs(error - expected) / (WIDTH * deviation) - 1.0
         variance = deviation * deviation * self._squares / self._square  # as the filter has it
         self._take(probe._replace(noise=float(np.sqrt(excess * variance))))
@@ -325,6 +387,8 @@ class Posterior:
         self._rebuild()
 
     def _evidence(self, probes: list[Probe]) -> '_Evidence':
+        speeds = [self._speed_of(probe.features) for probe in probes]
+        self._fastest = max(self._fastest, *speeds)
         return _Evidence(probes, self._base, self._basis.of_rises, self._units())
 
     def _likeliest(self, evidence: '_Evidence') -> tuple[Scales, float]:
@@ -364,8 +428,8 @@ class Posterior:
 
     def _agree(self, one: Probe, other: Probe) -> bool:
         """Return whether two improbable probes are off alike: the machine has changed."""
-        first, of_first = self.predict(one.features)
-        second, of_second = self.predict(other.features)
+        first, of_first = self.predict(one.features, self._time)
+        second, of_second = self.predict(other.features, self._time)
         apart = (one.error - first) - (other.error - second)
         variance = of_first * of_first + of_second * of_second
         variance += one.noise * one.noise + other.noise * other.noise
@@ -379,7 +443,7 @@ class Posterior:
         self._rebuild()
 
     def _probable(self, probe: Probe) -> bool:
-        expected, deviation = self.predict(probe.features)
+        expected, deviation = self.predict(probe.features, probe.time)
         off = probe.error - expected
         return off * off <= GATE * GATE * (deviation * deviation + probe.noise * probe.noise)
 
@@ -388,7 +452,7 @@ class Posterior:
 
         Scales that fit the last probes promise more than the next one keeps.
         """
-        expected, deviation = self.predict(probe.features)
+        expected, deviation = self.predict(probe.features, probe.time)
         off = probe.error - expected
         square = off * off / (deviation * deviation + probe.noise * probe.noise)
         self._square += min(square, GATE * GATE) * self._square / self._squares
@@ -428,6 +492,15 @@ class Posterior:
             self._learn(probe)
         self._reach(run, time)
 
+    def _elapse(self, time: float) -> None:
+        """Let `time` [s] pass, in which the drift forgets."""
+        self._time += time
+        kept = portable.exp(-time / DRIFT_TIME)
+        self._mean[-1] *= kept
+        self._covariance[-1] *= kept
+        self._covariance[:, -1] *= kept
+        self._covariance[-1, -1] += (1.0 - kept * kept) * self.scales.drift_variance
+
     def _begun(self) -> tuple[int, Array, Array]:
         """Return number, mean and covariance of the run in which the window begins."""
         size = self._basis.features
@@ -442,7 +515,7 @@ class Posterior:
     def _reach(self, run: int, time: float) -> None:
         while self._run < run:
             self.begin_run()
-        self.elapse(time - self._time)
+        self._elapse(time - self._time)
 
     def _condense(self) -> None:
         """Keep the older half of the window as mean and covariance of the weights.
@@ -563,18 +636,24 @@ class Learner:
     def __init__(self, basis: Basis, channels: int) -> None:
         self.basis = basis
         self.posteriors = tuple(Posterior(basis) for _ in range(channels))
-        self._state = basis.initial_state()
-        self._features = np.zeros(basis.features)
+        self._rest()
 
     def begin_run(self) -> None:
         """Begin another run at its thermal reference."""
-        self._state = self.basis.initial_state()
+        self._rest()
         for posterior in self.posteriors:
             posterior.begin_run()
             posterior.tune()
 
-    def step(self, rise: Array, speed: float) -> tuple[Array, Array]:
-        """Return the expected errors of a sample and their standard deviations, (c,) [m].
+    def _rest(self) -> None:
+        self.time = 0.0
+        """Time of the last sample since the thermal reference [s]."""
+        self.lags = self.basis.initial_state()
+        """Lagged rises and speeds, shape (p - s,)."""
+        self._features = self._before = np.zeros(self.basis.features)
+
+    def step(self, rise: Array, speed: float) -> None:
+        """Go on to the next sample.
 
         Parameters
         ----------
@@ -583,15 +662,18 @@ class Learner:
         speed : float
             Spindle speed [rad/s].
         """
-        self._features, self._state = self.basis.step(rise, speed, self._state)
-        found = np.empty((2, len(self.posteriors)))
-        for channel, posterior in enumerate(self.posteriors):
-            posterior.elapse(self.basis.interval)
-            found[:, channel] = posterior.predict(self._features)
-        return found[0], found[1]
+        self.time += self.basis.interval
+        self._before = self._features
+        self._features, self.lags = self.basis.step(rise, speed, self.lags)
 
-    def probe(self, error: Array, noise: Array) -> NDArray[np.int64]:
-        """Learn from a probe of the last sample, and return the verdicts (c,).
+    def predict(self) -> tuple[Array, Array]:
+        """Return the expected errors of the last sample and their deviations, (c,) [m]."""
+        found = [item.predict(self._features, self.time) for item in self.posteriors]
+        error, deviation = np.array(found).T
+        return error, deviation
+
+    def probe(self, error: Array, noise: Array, ago: float = 0.0) -> NDArray[np.int64]:
+        """Learn from a probe, and return the verdicts (c,).
 
         Parameters
         ----------
@@ -599,13 +681,36 @@ class Learner:
             Measured errors [m]; NaN where nothing was measured.
         noise : ndarray, shape (c,)
             Standard deviations of the measurement [m].
+        ago : float
+            Time from the probe to the last sample [s]; features are linear between samples.
         """
+        share = min(ago / self.basis.interval, 1.0)
+        features = self._features + share * (self._before - self._features)
         verdicts = np.full(len(error), int(Verdict.ABSENT), dtype=np.int64)
         for channel in np.flatnonzero(np.isfinite(error)):
             posterior = self.posteriors[channel]
             verdicts[channel] = posterior.update(
-                self._features, float(error[channel]), float(noise[channel])
+                features, self.time - ago, float(error[channel]), float(noise[channel])
             )
             if verdicts[channel] == Verdict.ACCEPTED and posterior.due:
                 posterior.tune()
         return verdicts
+
+    @property
+    def memory(self) -> Array:
+        """Flat array of finite doubles: all that was learnt, without the run under way."""
+        parts = [posterior.state for posterior in self.posteriors]
+        return np.concatenate([np.array([len(part) for part in parts], np.float64), *parts])
+
+    @memory.setter
+    def memory(self, values: Array) -> None:
+        channels = len(self.posteriors)
+        lengths = np.array(values[:channels], dtype=np.float64)
+        if len(lengths) < channels or not float(np.sum(lengths)) == len(values) - channels:
+            raise ValueError(f'memory: expected {channels} channels, but found other lengths')
+        learnt = tuple(Posterior(self.basis) for _ in range(channels))
+        at = channels
+        for posterior, length in zip(learnt, lengths.astype(np.int64).tolist(), strict=True):
+            posterior.state = values[at : at + length]
+            at += length
+        self.posteriors = learnt

@@ -151,7 +151,8 @@ def _followed(
     slack = JITTER_MAX * learner.basis.interval
     for row, (rise, now) in enumerate(zip(run.rise(), speeds, strict=True)):
         for name, item in ((CARRIED, before), (LEARNT, learner)):
-            predicted[name][row], deviation[name][row] = item.step(rise, float(now))
+            item.step(rise, float(now))
+            predicted[name][row], deviation[name][row] = item.predict()
         predicted[HELD][row] = held
         taken = np.isfinite(probes[row]) & (run.time[row] >= due - slack)
         if not taken.any():

@@ -76,15 +76,14 @@ def follow(posterior, probes, noise=1e-6):
     """Let a posterior see probes at their times, and return the verdicts."""
     verdicts = []
     for run, time, features, error in probes:
-        reach(posterior, run, time)
-        verdicts.append(posterior.update(features, error, noise))
+        reach(posterior, run)
+        verdicts.append(posterior.update(features, time, error, noise))
     return verdicts
 
 
-def reach(posterior, run, time):
+def reach(posterior, run):
     while posterior._run < run:
         posterior.begin_run()
-    posterior.elapse(time - posterior._time)
 
 
 def test_it_is_the_gaussian_process_of_its_scales(monkeypatch):
@@ -92,14 +91,13 @@ def test_it_is_the_gaussian_process_of_its_scales(monkeypatch):
     probes = machine(0, 3, 4)
     known = Posterior(BASIS, SCALES)
     follow(known, probes)
-    reach(known, 2, 5.5 * 3600.0)
     asked = (2, 5.5 * 3600.0, probes[5][2])
     places = [probe[:3] for probe in probes]
     errors = np.array([probe[3] for probe in probes])
     whole = covariance(places, places) + 1e-12 * np.eye(len(places))
     row = covariance([asked], places)[0]
     variance = covariance([asked], [asked])[0, 0] - row @ np.linalg.solve(whole, row)
-    expected, deviation = known.predict(asked[2])
+    expected, deviation = known.predict(asked[2], asked[1])
     assert expected == pytest.approx(row @ np.linalg.solve(whole, errors), rel=1e-6)
     # The band follows the squares that the probes missed by as well.
     ratio = known._square / known._squares
@@ -163,12 +161,12 @@ def test_a_false_probe_moves_no_further_than_the_band_and_is_forgotten():
     follow(known, probes[:-2])
     spoilt = deepcopy(known)
     run, time, features, error = probes[-2]
-    reach(spoilt, run, time)
-    expected, deviation = spoilt.predict(features)
+    reach(spoilt, run)
+    expected, deviation = spoilt.predict(features, time)
     for false in (error + 60e-6, error + 200e-6, -error - 80e-6, 1e3 * error):
         judged = deepcopy(spoilt)
-        assert judged.update(features, false, 1e-6) == Verdict.REJECTED
-        moved = abs(judged.predict(features)[0] - expected)
+        assert judged.update(features, time, false, 1e-6) == Verdict.REJECTED
+        moved = abs(judged.predict(features, time)[0] - expected)
         assert moved <= 2.0 * deviation * (1.0 + 1e-9)
         # The next true probe undoes it, to the last digits of the filter.
         assert follow(judged, probes[-1:]) == [Verdict.ACCEPTED]
@@ -185,7 +183,7 @@ def test_a_jump_is_believed_when_the_next_probe_agrees():
     assert follow(known, jumped) == [Verdict.REJECTED, Verdict.ACCEPTED]
     assert known.due
     known.tune()
-    assert known.predict(jumped[-1][2])[0] == pytest.approx(jumped[-1][3], abs=2e-6)
+    assert known.predict(jumped[-1][2], jumped[-1][1])[0] == pytest.approx(jumped[-1][3], abs=2e-6)
 
 
 def test_two_false_probes_that_differ_teach_nothing():
@@ -206,7 +204,7 @@ def test_two_false_probes_that_differ_teach_nothing():
 def test_first_probes_of_a_machine_that_moves_a_lot_are_believed():
     known = Posterior(BASIS)
     features = np.array([4.0] * 8 + [0.0] * 8)
-    assert known.update(features, 90e-6, 0.5e-6) == Verdict.ACCEPTED
+    assert known.update(features, 3600.0, 90e-6, 0.5e-6) == Verdict.ACCEPTED
     assert known.scales.rise > 1.5 * EXPECTED.rise
 
 
@@ -231,10 +229,11 @@ def test_a_run_of_many_probes_is_condensed_within():
     known._condense()
     known._rebuild()
     assert len(known._probes) == WINDOW // 2 + 2
-    expected, deviation = zip(*map(whole.predict, (probe[2] for probe in probes)), strict=True)
-    found = np.array([known.predict(probe[2]) for probe in probes])
+    asked = [(probe[2], probes[-1][1]) for probe in probes]
+    expected, deviation = np.array([whole.predict(*item) for item in asked]).T
+    found = np.array([known.predict(*item) for item in asked])
     # The drift of then is forgotten: not all digits, but what is known.
-    assert (np.abs(found[:, 0] - expected) < 0.3 * np.array(deviation)).all()
+    assert (np.abs(found[:, 0] - expected) < 0.3 * deviation).all()
     np.testing.assert_allclose(found[:, 1], deviation, rtol=0.1)
 
 
@@ -242,21 +241,23 @@ def test_a_run_of_many_probes_is_condensed_within():
 @settings(max_examples=30, deadline=None)
 def test_covariance_stays_symmetric_and_positive(steps):
     known, random = Posterior(BASIS), np.random.default_rng(0)
+    now = 0.0
     for what, value in steps:
         if what == 0:
             known.begin_run()
+            now = 0.0
         elif what == 1:
             known.tune()
         elif what == 2:
-            known.elapse(1e7 * abs(value))
+            now += 1e7 * abs(value)
         else:
-            known.update(random.normal(size=16) * 30.0, value, 0.5e-6)
+            known.update(random.normal(size=16) * 30.0, now, value, 0.5e-6)
     whole = known._covariance
     np.testing.assert_allclose(whole, whole.T, rtol=1e-9, atol=1e-26)
     # In units in which every weight is about 1.
     scale = np.sqrt(np.append(known._prior(known.scales), known.scales.drift**2))
     assert np.linalg.eigvalsh(whole / np.outer(scale, scale)).min() > -1e-9
-    assert all(np.isfinite(known.predict(random.normal(size=16))))
+    assert all(np.isfinite(known.predict(random.normal(size=16), now)))
 
 
 def test_features_are_rises_speeds_and_their_lags():
@@ -283,21 +284,89 @@ def test_no_sensor_or_too_many_are_refused(sensors):
         Basis(sensors, True, 60.0)
 
 
+def stepped(learner, rise, speed=0.0):
+    learner.step(np.full(learner.basis.sensors, rise), speed)
+    return learner.predict()
+
+
 def test_channels_are_learnt_apart_and_what_was_not_probed_stays():
     learner = Learner(Basis(1, False, 60.0), 2)
     for _ in range(30):
-        error, before = learner.step(np.array([10.0]), 0.0)
+        error, before = stepped(learner, 10.0)
     verdicts = learner.probe(np.array([30e-6, np.nan]), np.full(2, 0.5e-6))
     assert verdicts.tolist() == [Verdict.ACCEPTED, Verdict.ABSENT]
     assert not error.any()
-    error, after = learner.step(np.array([10.0]), 0.0)
+    error, after = stepped(learner, 10.0)
     assert error[0] == pytest.approx(30e-6, rel=0.05)
     assert after[0] < 0.2 * before[0]
     assert error[1] == 0.0
     assert after[1] == pytest.approx(before[1], rel=0.1)
     learner.begin_run()
-    cold, _ = learner.step(np.array([0.0]), 0.0)
+    cold, _ = stepped(learner, 0.0)
     assert not cold.any()
+
+
+def test_a_probe_between_samples_has_the_features_between():
+    learner = Learner(Basis(1, False, 60.0), 1)
+    stepped(learner, 0.0)
+    before = learner.predict()[0]
+    stepped(learner, 10.0)
+    learner.probe(np.array([20e-6]), np.array([0.5e-6]), ago=30.0)
+    whole = learner.predict()[0] - before
+    # It was warm by half of it then, and the error is as large again now.
+    assert 30e-6 < whole[0] < 45e-6
+
+
+@given(st.lists(st.tuples(st.integers(0, 6), st.floats(-4e-5, 4e-5)), max_size=90))
+@settings(max_examples=40, deadline=None)
+def test_memory_goes_on_with_the_same_digits(steps):
+    one, other = (Learner(Basis(2, True, 60.0), 2) for _ in range(2))
+    for what, value in steps:
+        if what == 0:
+            for item in (one, other):
+                item.begin_run()
+        elif what < 4:
+            for item in (one, other):
+                stepped(item, 1e6 * value, 1e7 * value)
+        else:
+            error = np.array([value, np.nan if what == 4 else 3.0 * value])
+            if what == 6:
+                error[0] = 3e-4
+            for item in (one, other):
+                item.probe(error, np.full(2, 0.5e-6), ago=15.0)
+        other.memory = other.memory.copy()
+        np.testing.assert_array_equal(one.predict(), other.predict())
+        np.testing.assert_array_equal(one.memory, other.memory)
+
+
+def test_memory_of_many_probes_goes_on_with_the_same_digits():
+    learner, _ = learnt_machine.follow(4000, 5)
+    again = deepcopy(learner)
+    again.memory = learner.memory
+    assert learner.posteriors[0]._base is not None
+    for item in (learner, again):
+        item.begin_run()
+        stepped(item, 4.0, 100.0)
+        item.probe(np.full(2, 5e-6), np.full(2, 0.5e-6))
+    np.testing.assert_array_equal(learner.memory, again.memory)
+
+
+@pytest.mark.parametrize('part', ['cut', 'nan', 'scale', 'run', 'count', 'length', 'noise'])
+def test_damaged_memory_is_refused_and_nothing_is_lost(part):
+    learner, _ = learnt_machine.follow(2000, 6, channels=1)
+    before, spoilt = learner.memory, learner.memory
+    at = {'scale': 6, 'run': 1, 'count': -1, 'length': 0, 'nan': 40}
+    if part == 'cut':
+        spoilt = spoilt[:-1]
+    elif part == 'noise':
+        spoilt[-learner.basis.features - 1] = 0.0
+    elif part == 'count':
+        spoilt[11] += 1.0
+    else:
+        spoilt[at[part]] = np.nan if part == 'nan' else -1.0
+    with pytest.raises(ValueError, match='expected'):
+        learner.memory = spoilt
+    np.testing.assert_array_equal(learner.memory, before)
 
 
 def check_sound(learner):
