@@ -39,16 +39,15 @@ def main() -> int:
         known.update(row, 3600.0 * hour, 1e-5 * float(random.normal()), 0.5e-6)
     learner = Learner(basis, 1)
     rise = features[0, :SENSORS]
-    step = best(lambda: learner.step(rise, 100.0))
+    step = best(lambda: learner.step(rise, 100.0, 60.0))
     predict = best(lambda: known.predict(features[0], 1e6))
     # A probe that says what is expected: the filter alone is timed, as if it were the first.
     fresh = Posterior(basis)
     probe = best(lambda: fresh.update(features[1], 0.0, 0.0, 0.5e-6), 50)
     tune = best(known.tune, 2)
     size = known.state.nbytes
-    print(
-        f'a sample       {1e6 * (step + predict):8.1f} us, of it the prediction {1e6 * predict:.1f} us'
-    )
+    sample = 1e6 * (step + predict)
+    print(f'a sample       {sample:8.1f} us, of it the prediction {1e6 * predict:.1f} us')
     print(f'a probe        {1e6 * probe:8.1f} us')
     print(f'all scales     {1e3 * tune:8.1f} ms, from {WINDOW} probes')
     print(f'the memory     {size / 1024:8.0f} kB')

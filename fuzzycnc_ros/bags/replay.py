@@ -236,6 +236,7 @@ def replay(
     topics = [
         recording.compared(topic, messages, failed.get(topic, ''))
         for topic, messages in outputs.items()
+        if messages or recording.raw.get(topic)
     ]
     taken: list[GivenTopic] = []
     if not nodes:

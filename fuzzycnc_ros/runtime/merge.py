@@ -25,6 +25,7 @@ from fuzzycnc_ros.runtime.records import (
     SensorSelection,
     Temperatures,
     ThermalError,
+    ThermalPosterior,
     ThermalReference,
 )
 
@@ -47,6 +48,7 @@ PARALLEL: dict[type[Any], dict[str, tuple[str, ...]]] = {
         'axis': ('channel', 'error', 'standard_deviation'),
         'substituted': ('substitute',),
     },
+    ThermalPosterior: {'axis': ('channel', 'probes')},
     ThermalReference: {'sensor': ('temperature',)},
 }
 """Array of each record to those that are parallel to it."""

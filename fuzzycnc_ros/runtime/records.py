@@ -136,6 +136,22 @@ class PredictorState(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class ThermalPosterior(Record):
+    """Posterior of the weights of the thermal error, learnt from probes."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/ThermalPosterior'
+
+    model_hash: str
+    reference_stamp: Stamp
+    interval: float
+    input: Names
+    axis: Names
+    channel: Names
+    probes: Counts
+    memory: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Displacement(Record):
     """Measured displacement of the tool since the thermal reference."""
 

@@ -174,7 +174,10 @@ def test_outputs_of_a_node_whose_configuration_is_lost_are_named(thermal, folder
     bag = thermal.without(lambda m: configures(m, node)).write(folder / 'a')
     report = replay(bag)
     assert not report.equivalent
-    for output in COMPONENTS[node].OUTPUTS:
+    told = {message.topic for message in thermal.messages}
+    outputs = [item for item in COMPONENTS[node].OUTPUTS if f'/mill/{item.name}' in told]
+    assert outputs
+    for output in outputs:
         (row,) = (item for item in report.topics if item.topic == f'/mill/{output.name}')
         assert row.recorded > 0
         assert row.recomputed == row.identical == 0

@@ -44,9 +44,8 @@ def three_runs(calibration):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('kind', ['offset', 'kalman'])
-def test_half_hourly_probes_correct_a_model_of_one_run(one_run, kind):
-    probing = {'probing': kind, 'probe_interval_min': 1800.0}
+def test_half_hourly_probes_correct_a_model_of_one_run(one_run):
+    probing = {'learn': True, 'probe_interval_min': 1800.0}
     (plain,), (probed,) = (
         run_shift(one_run, duties=('T3',), parameters={'thermal_predictor': parameters})
         for parameters in ({}, probing)
@@ -62,9 +61,8 @@ def test_half_hourly_probes_correct_a_model_of_one_run(one_run, kind):
 def test_bag_of_a_probed_shift_replays(one_run, tmp_path):
     parameters = {
         'thermal_predictor': {
-            'probing': 'kalman',
+            'learn': True,
             'probe_interval_min': 1800.0,
-            'adaptation': 0.1,
         }
     }
     with PublishedBag(tmp_path / 'bag') as bag:

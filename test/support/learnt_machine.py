@@ -25,14 +25,17 @@ def follow(steps: int, seed: int, channels: int = 2) -> tuple[Learner, str]:
     weight = random.uniform(-1e-6, 1e-6, (channels, 4))
     rise, speed = np.zeros(3), 0.0
     said = hashlib.sha256()
+    time = 0.0
     for chance in random.random(steps):
+        time += 60.0
         if chance < 2e-3:
             learner.begin_run()
+            time = 0.0
             rise, speed = np.zeros(3), 0.0
         elif chance < 1e-2:
             speed = float(random.uniform(0.0, 600.0))
         rise = rise + 0.02 * (np.array([0.05, 0.03, 0.01]) * speed - rise)
-        learner.step(rise, speed)
+        learner.step(rise, speed, time)
         error, deviation = learner.predict()
         said.update(error.tobytes() + deviation.tobytes())
         if chance > 0.98:

@@ -29,7 +29,7 @@ from fuzzycnc_ros.studies.soft.pattern import run_patterns
 
 PATTERNS = ('parallelogram:45:base=0.024:side=0.018', 'calibration:2')
 HOUR = {'simulated_machine': {'duty_duration': 3600.0}}
-PROBED = {'probing': 'kalman', 'probe_interval_min': 600.0, 'adaptation': 0.1}
+PROBED = {'learn': True, 'probe_interval_min': 600.0}
 
 Scenario = Callable[[Path, Sink], object]
 """Runs with the models in a folder and tells everything to a sink."""

@@ -38,7 +38,7 @@ ALARM_SEEDS = range(4)
 FAULT = 60
 """Sample, one a minute, in which a fault begins."""
 
-HALF_HOURLY = {'probing': 'offset', 'probe_interval': 1800.0}
+HALF_HOURLY = {'learn': True, 'probe_interval': 1800.0}
 PROBE = 30
 """Samples between two of these probes."""
 

@@ -345,11 +345,6 @@ class MachineView:
             place = record.axis.index(axis) if axis in record.axis else None
             if place is not None:
                 approach.add(record.stamp, float(record.error[place]))
-        for item in self._items('thermal_predictor'):
-            for key, value in item.values.items() if item.name == 'probing' else ():
-                kind, _, channel = key.partition(' ')
-                if kind == 'cusum':
-                    row[f'{visible(channel.partition(" [")[0])} cusum'] = number(value)
         self.history['error'].add(record.stamp, row)
 
     def _on_compensation(self, record: Compensation) -> None:

@@ -23,6 +23,9 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.components.thermal.kept_samples import KeptSamples
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
+from fuzzycnc_ros.core.thermal.blank import blank_model
+from fuzzycnc_ros.core.thermal.learning import Basis
+from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.run import DISPLACEMENT_MAX
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.enums import SpeedStatus
@@ -39,6 +42,7 @@ from fuzzycnc_ros.runtime.records import (
     SpindleSpeed,
     Stamp,
     Temperatures,
+    ThermalPosterior,
     ThermalReference,
     nanoseconds,
 )
@@ -164,6 +168,9 @@ def _in_words(speed: float) -> str:
 
 READ_BACK_AGE_MAX = 60.0
 """Age [s] beyond which two read-backs do not tell what was applied between them."""
+
+SPACINGS = 5
+"""Times between samples whose median is the interval where nothing else tells it."""
 
 WAITING_MAX = 1000
 """Probes and read-backs that are kept for a sample that does not come."""
@@ -364,8 +371,12 @@ class PredictorStream:
         What rises are meant against.
     checkpoint : PredictorState or None
         State of an earlier life.
+    memory : ThermalPosterior or None
+        What an earlier life has learnt of the machine.
     selection : SensorSelection or None
         Newest selection; it names substitutes.
+    awaited : str
+        What is missing to learn from nothing.
     speeds : SpeedSources
         What was told of the spindle.
     probes : ProbeSource or None
@@ -376,10 +387,11 @@ class PredictorStream:
         self.config = config
         self.reference: ThermalReference | None = None
         self.checkpoint: PredictorState | None = None
+        self.memory: ThermalPosterior | None = None
         self.selection: SensorSelection | None = None
+        self.awaited = 'waiting for temperatures'
         self.speeds = SpeedSources()
-        probing = config.probing != 'none' or config.adaptation > 0.0
-        self.probes = ProbeSource(config) if probing else None
+        self.probes = ProbeSource(config) if config.learn else None
         self._heard = KeptSamples[Heard](lambda heard: heard.sample)
 
     def hear(self, sample: Temperatures) -> Heard:
@@ -407,6 +419,40 @@ class PredictorStream:
         if newest is not None and newest is not kept[-1]:
             kept.append(newest)
         return (item for item in kept if item.sample.stamp > stamp)
+
+    def from_nothing(self) -> ThermalModel | None:
+        """Return the model that predicts nothing of this stream; None while that is unknown.
+
+        It has the sensors and interval of what an earlier life has learnt from nothing, else all
+        sensors that have a reference, or those that a selection has chosen.
+        """
+        memory = self.memory
+        if memory is not None:
+            known = blank_model(memory.input, memory.axis, memory.interval)
+            if known.hash == memory.model_hash:
+                return known
+        stamps = [item.sample.stamp for item in self._heard][-SPACINGS - 1 :]
+        if self.reference is None or self.newest is None or len(stamps) <= SPACINGS:
+            self.awaited = (
+                f'learning from nothing: {len(stamps)} of {SPACINGS + 1} samples'
+                if self.reference is not None
+                else 'no thermal reference (topic thermal_reference)'
+            )
+            return None
+        spacing = sorted(np.diff(stamps).tolist())[SPACINGS // 2]
+        wanted = self.newest.sample.sensor
+        if self.selection is not None:
+            chosen = {item.chosen for item in self.selection.cluster}
+            wanted = tuple(name for name in wanted if name in chosen) or wanted
+        zero = dict(zip(self.reference.sensor, self.reference.temperature.tolist(), strict=True))
+        inputs = [name for name in wanted if np.isfinite(zero.get(name, np.nan))]
+        try:
+            interval = round(spacing / SECOND, 3)
+            Basis(len(inputs), True, interval)
+            return blank_model(inputs, self.config.learn_axes, interval)
+        except ValueError as error:
+            self.awaited = f'learning from nothing: {error}'
+            return None
 
     @property
     def newest(self) -> Heard | None:

@@ -13,10 +13,11 @@ import numpy as np
 
 from fuzzycnc_ros.components.thermal.fade import Fade
 from fuzzycnc_ros.components.thermal.predictor_stream import Heard, PredictorStream
-from fuzzycnc_ros.components.thermal.probe_correction import ProbeCorrection
+from fuzzycnc_ros.components.thermal.probe_learning import Owner, ProbeLearning
 from fuzzycnc_ros.components.thermal.sensor_substitution import RiseSource
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.names import text_hash
+from fuzzycnc_ros.core.thermal.blank import LABEL
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.sensor_watch import SensorWatch
 from fuzzycnc_ros.runtime.component import Health, Level
@@ -28,19 +29,12 @@ from fuzzycnc_ros.runtime.records import (
     PredictorState,
     Stamp,
     Temperatures,
+    ThermalPosterior,
     nanoseconds,
 )
 
-BLOCKS = {
-    'correction': 1,
-    'drift': 2,
-    'offset': 3,
-    'kalman': 4,
-    'adaptation': 5,
-    'remainder': 6,
-    'watch': 7,
-}
-"""Codes of the blocks."""
+BLOCKS = {'remainder': 6, 'watch': 7, 'lags': 8, 'jump': 9}
+"""Codes of the blocks; 1 to 5 were those of offsets and gains that probes gave."""
 
 
 def write_blocks(recursion: Floats, blocks: Mapping[str, Floats]) -> Floats:
@@ -113,8 +107,9 @@ class ModelHistory:
         self.text, self._stream = text, stream
         self.model = ThermalModel.from_json(text)
         self.hash = text_hash(text)
-        self.label = f'{"/".join(dict.fromkeys(self.model.default))} {self.hash[:12]}'
-        self.correction = ProbeCorrection(self.model, self.config)
+        name = '/'.join(dict.fromkeys(self.model.default)) if self.model.runs else LABEL
+        self.label = f'{name} {self.hash[:12]}'
+        self.learning = ProbeLearning(self.model, self.config)
         self._begun = False
         self._warm: dict[str, float] = {}
         """Inputs that were warm when the reference was taken, by how much [K]."""
@@ -151,13 +146,12 @@ class ModelHistory:
         if reference is None:
             return
         self._forget()
-        if not self._begun:
-            self._remember()
+        memory = None if self._begun else self._memory()
         self._begun = True
         known = dict(zip(reference.sensor, reference.temperature.tolist(), strict=True))
         start = [known.get(name, np.nan) for name in self.model.inputs]
         self._warm = self.model.warmth(start)
-        self.correction.begin()
+        self.learning.begin(reference.stamp, memory)
         for item in self._stream.since(reference.cold_since):
             self.take(item)
 
@@ -170,17 +164,12 @@ class ModelHistory:
         self.prediction = None
         error = self._step(heard)
         if error is None or self._vector is None:
-            self.correction.pause()
+            self.learning.pause()
             return
         stamp = heard.sample.stamp
         self.distance = float(self.model.distance(self._vector))
-        error, deviation = self.correction.apply(
-            stamp,
-            error,
-            self.model.standard_deviation(self._vector),
-            self.distance,
-            heard.probes,
-            self.config.correction_time,
+        error, deviation = self.learning.apply(
+            stamp, error, self.model.standard_deviation(self._vector), heard.probes
         )
         if self.remainder.remaining and self._predicted_at is not None:
             error = error + self.remainder.advance((stamp - self._predicted_at) / SECOND)
@@ -225,7 +214,7 @@ class ModelHistory:
     def health(self) -> list[Health]:
         """Report what of the model, or of its reference, an operator has to know."""
         items = []
-        if self.model.uncompensated:
+        if self.model.uncompensated and not self.learning.active:
             text = f'{", ".join(self.model.uncompensated)}: no model was better beyond chance'
             items.append(Health('uncompensated', Level.OK, text))
         if self.model.losing:
@@ -250,7 +239,7 @@ class ModelHistory:
         """
         assert self._stream.reference is not None
         assert self._vector is not None
-        blocks = dict(self.correction.blocks)
+        blocks = self.learning.blocks
         left = self.remainder if remainder is None else remainder
         if left.remaining:
             blocks['remainder'] = left.state
@@ -267,6 +256,21 @@ class ModelHistory:
             last_rise=self._vector[:sensors],
             state=write_blocks(recursion, blocks),
         )
+
+    def learnt(self, stamp: Stamp, frame_id: str) -> ThermalPosterior | None:
+        """Return what was learnt, None if nothing was since the last time.
+
+        Parameters
+        ----------
+        stamp : int
+            Stamp of the newest sample [ns].
+        frame_id : str
+            Frame of the machine.
+        """
+        if not self.learning.news or self._stream.reference is None:
+            return None
+        owner = Owner(self.hash, self._stream.reference.stamp, frame_id)
+        return self.learning.record(stamp, owner)
 
     def _step(self, heard: Heard) -> Floats | None:
         """Step the model; return the error [m], or None and set the reason."""
@@ -293,7 +297,7 @@ class ModelHistory:
             if elapsed > nanoseconds(self.config.gap_max) + interval:
                 self._unknown_since = stamp
                 steps = 1
-        error = self._advance(vector, steps)
+        error = self._advance(vector, steps, heard)
         self._stepped_at = stamp
         self._vector = vector
         return error if self._usable(error) and self._history_is_known(stamp) else None
@@ -309,11 +313,17 @@ class ModelHistory:
         )
         return False
 
-    def _advance(self, vector: Floats, steps: int) -> Floats:
+    def _advance(self, vector: Floats, steps: int, heard: Heard) -> Floats:
         """Step the model, along a straight line over missing samples."""
+        sensors, stamp = len(self.model.inputs), heard.sample.stamp
+        interval = nanoseconds(self.model.interval)
         if steps > 1 and self._vector is not None:
             for number in range(1, steps):
-                self._recursion.step(self._vector + (vector - self._vector) * (number / steps))
+                between = self._vector + (vector - self._vector) * (number / steps)
+                self._recursion.step(between)
+                at = stamp - (steps - number) * interval
+                self.learning.step(between[:sensors], heard.spindle_speed, at)
+        self.learning.step(vector[:sensors], heard.spindle_speed, stamp)
         return self._recursion.step(vector)
 
     def _history_is_known(self, stamp: Stamp) -> bool:
@@ -340,16 +350,6 @@ class ModelHistory:
             # The machine has been warming up unseen since its reference.
             self._unknown_since = stamp
 
-    def _remember(self) -> None:
-        """Take back what an earlier life has learnt of the machine, whatever its reference."""
-        checkpoint = self._stream.checkpoint
-        if checkpoint is None or not self._owns(checkpoint):
-            return
-        try:
-            self.correction.remember(self._parts(checkpoint)[2])
-        except ValueError:
-            self.correction = ProbeCorrection(self.model, self.config)
-
     def _take_checkpoint(self, stamp: Stamp) -> None:
         """Go on from the state of an earlier life if it was one of this history."""
         saved, reference = self._stream.checkpoint, self._stream.reference
@@ -359,7 +359,7 @@ class ModelHistory:
             return
         try:
             recursion, drive, blocks = self._parts(saved)
-            self.correction.resume(saved.stamp, blocks)
+            self.learning.resume(saved.stamp, saved.last_rise, blocks)
             if 'remainder' in blocks:
                 self.remainder.state = blocks['remainder']
             if self._watch is not None and 'watch' in blocks:
@@ -370,7 +370,8 @@ class ModelHistory:
             self._recursion.state = recursion
         except ValueError:
             # A damaged checkpoint is as good as none: the history is lost, which is said aloud.
-            self.correction = ProbeCorrection(self.model, self.config)
+            self.learning = ProbeLearning(self.model, self.config)
+            self.learning.begin(reference.stamp, self._memory())
             self.remainder = Fade(np.zeros(len(self.model.channel)))
             self._watch = sensor_watch(self.model, self.config)
             self._source = None
@@ -378,9 +379,14 @@ class ModelHistory:
         self._stepped_at = self._predicted_at = saved.stamp
         self._vector = newest
 
-    def _owns(self, checkpoint: PredictorState) -> bool:
-        """Whether a checkpoint was written for this model."""
-        return checkpoint.model_hash == self.hash and checkpoint.input == self.model.inputs
+    def _memory(self) -> ThermalPosterior | None:
+        """Return what an earlier life has learnt of this model's rest."""
+        memory = self._stream.memory
+        return memory if memory is not None and self._owns(memory) else None
+
+    def _owns(self, kept: PredictorState | ThermalPosterior) -> bool:
+        """Whether a checkpoint, or what was learnt, is of this model."""
+        return kept.model_hash == self.hash and kept.input == self.model.inputs
 
     def _parts(self, checkpoint: PredictorState) -> tuple[Floats, Floats, dict[str, Floats]]:
         """Return the state of the recursion, the newest drivers and the blocks."""

@@ -48,6 +48,7 @@ from fuzzycnc_ros.runtime.records import (
     Stamp,
     Temperatures,
     ThermalError,
+    ThermalPosterior,
     ThermalReference,
 )
 
@@ -263,12 +264,15 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
     OUTPUTS = (
         Output('thermal_error', ThermalError),
         Output('predictor_state', PredictorState, LATCHED, persistent=True),
+        Output('thermal_posterior', ThermalPosterior, LATCHED, persistent=True),
     )
 
     def __init__(self, config: ThermalPredictorConfig | None = None) -> None:
         super().__init__(config)
         self._swap = ModelSwap()
         self._stream = PredictorStream(self._config)
+        self._named = False
+        """Whether a model was asked for; else all of the error is learnt."""
         self._told: PredictorState | None = None
         self._former: ThermalReference | None = None
         """What the checkpoint of before a step of the clock was meant against."""
@@ -280,8 +284,8 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
 
     @property
     def model_text(self) -> str:
-        """Text of the model file that was asked for last."""
-        return self._swap.wanted.text if self._swap.wanted is not None else ''
+        """Text of the model file that was asked for last; empty where there is none."""
+        return self._swap.wanted.text if self._swap.wanted is not None and self._named else ''
 
     def reconfigure(self, config: ThermalPredictorConfig) -> None:
         """Take live parameters; they act from the next sample on."""
@@ -312,6 +316,7 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
         if newest is not None and in_use is not None and in_use.reason is Reason.NONE:
             history.model.check_stream(newest.sample.sensor, in_use.model.interval)
         history.begin()
+        self._named = True
         return self._swap.add(history)
 
     def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
@@ -330,14 +335,19 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
         if self._told is not None and stream.reference is not None:
             fresh._former = stream.reference
             fresh._stream.checkpoint = replace(self._told, stamp=max(0, self._told.stamp + step))
+        if stream.memory is not None:
+            learnt = replace(stream.memory, stamp=max(0, stream.memory.stamp + step))
+            fresh._stream.memory = learnt
         if self.model_text:
             fresh.use_model(self.model_text)
         return fresh, []
 
     def restore(self, output: str, record: Record) -> None:
-        """Take back the checkpoint of an earlier life."""
+        """Take back the checkpoint of an earlier life, and what it has learnt."""
         if isinstance(record, PredictorState):
             self._stream.checkpoint = record
+        if isinstance(record, ThermalPosterior):
+            self._stream.memory = record
 
     def on_sensor_selection(self, selection: SensorSelection) -> None:
         """Take the substitutes of a new selection."""
@@ -353,6 +363,8 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
             return
         if former is not None and checkpoint is not None and _same(former, reference):
             stream.checkpoint = replace(checkpoint, reference_stamp=reference.stamp)
+            if stream.memory is not None:
+                stream.memory = replace(stream.memory, reference_stamp=reference.stamp)
         stream.reference, self._former = reference, None
         self._swap.begin()
 
@@ -376,18 +388,38 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
 
     def on_temperatures(self, sample: Temperatures) -> Iterator[Emission]:
         """Predict from one sample."""
-        found = self._swap.take(self._stream.hear(sample))
+        heard = self._stream.hear(sample)
+        if self._config.learn and self._swap.in_use is None:
+            self._begin_with_nothing()
+            found = self._swap.in_use.prediction if self._swap.in_use is not None else None
+        else:
+            found = self._swap.take(heard)
         yield Emission('thermal_error', self._error(sample.stamp, found))
         if found is None:
             return
         self._told = self._swap.state(sample.stamp, self.frame('machine'))
         yield Emission('predictor_state', self._told)
+        if self._swap.in_use is not None:
+            learnt = self._swap.in_use.learnt(sample.stamp, self.frame('machine'))
+            if learnt is not None:
+                self._stream.memory = learnt
+                yield Emission('thermal_posterior', learnt)
+
+    def _begin_with_nothing(self) -> None:
+        """Begin to learn all of the error, once sensors and sampling interval are known."""
+        learnt = self._stream.from_nothing()
+        if learnt is not None:
+            history = ModelHistory(learnt.to_json(), self._stream)
+            history.begin()
+            self._swap.add(history)
 
     def health(self) -> list[Health]:
         """Report what is predicted with, which sensors are substituted, what probes say."""
         history = self._swap.in_use
         if history is None:
-            return [Health('prediction', Level.ERROR, NO_MODEL)]
+            if not self._config.learn:
+                return [Health('prediction', Level.ERROR, NO_MODEL)]
+            return [Health('prediction', Level.ERROR, self._stream.awaited)]
         if history.reason is not Reason.NONE:
             items = [Health('prediction', Level.ERROR, history.detail)]
         else:
@@ -397,11 +429,12 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
         if history.prediction is not None and history.prediction.outside:
             items.append(Health('domain', Level.WARN, history.prediction.outside))
         items += self._swap.health()
-        if history.model.needs_speed:
+        told = self._stream.speeds.newest is not None
+        if history.model.needs_speed or (history.learning.active and told):
             items.append(self._stream.speeds.health())
         if history.substitutions:
             items.append(Health('substitution', Level.WARN, history.substitutions))
-        items += history.correction.health()
+        items += history.learning.health()
         if self._stream.probes is not None and self._stream.probes.trouble:
             items.append(Health('probe', Level.WARN, self._stream.probes.trouble))
         return items

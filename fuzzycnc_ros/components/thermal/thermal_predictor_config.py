@@ -3,6 +3,7 @@
 """Parameters of `thermal_predictor`."""
 
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.thermal.run import GAP_MAX, SETTLE_TIME
@@ -12,6 +13,10 @@ from fuzzycnc_ros.core.thermal.sensor_watch import PERSISTENCE, TOLERANCE, WATCH
 @dataclass(frozen=True, kw_only=True)
 class ThermalPredictorConfig(Config):
     """Parameters of `thermal_predictor`."""
+
+    GONE = MappingProxyType(
+        {'probing': 'none', 'probe_jump_max': 10e-6, 'drift_limit': 4.0, 'adaptation': 0.0}
+    )
 
     model: str = param(
         '',
@@ -92,12 +97,21 @@ class ThermalPredictorConfig(Config):
         low=0.0,
         high=86400.0,
     )
-    probing: str = param(
-        'none',
+    learn: bool = param(
+        False,
         '-',
-        'What displacement is used for: none = nothing, offset = each probe resets the offset, '
-        'kalman = probes are filtered into offset and gain',
-        choices=('none', 'offset', 'kalman'),
+        'Learn from displacements what the model leaves; without a model, all of the error',
+    )
+    learn_axes: tuple[str, ...] = param(
+        ('X', 'Y', 'Z'), '-', 'Axes whose error is learnt where there is no model'
+    )
+    band_wanted: float = param(
+        5e-6,
+        'm',
+        'Half width of the band beyond which a probe is asked for',
+        low=1e-9,
+        high=1e-2,
+        live=True,
     )
     probe_interval_min: float = param(
         0.0,
@@ -110,15 +124,7 @@ class ThermalPredictorConfig(Config):
     probe_noise: float = param(
         0.7e-6,
         'm',
-        "Least standard deviation of a probe, the model's own scatter included",
-        low=1e-9,
-        high=1e-3,
-    )
-    probe_jump_max: float = param(
-        10e-6,
-        'm',
-        'Difference to the expected value that is never doubted; beyond it and four standard '
-        'deviations a second probe must agree',
+        'Least standard deviation of a probe',
         low=1e-9,
         high=1e-3,
     )
@@ -129,18 +135,4 @@ class ThermalPredictorConfig(Config):
         low=60.0,
         high=3600.0,
         live=True,
-    )
-    drift_limit: float = param(
-        4.0,
-        '-',
-        'Cumulative sum of normalised probe residuals at which training anew is asked for',
-        low=1.0,
-        high=1000.0,
-    )
-    adaptation: float = param(
-        0.0,
-        '-',
-        "Largest lasting correction of the model's gain that probes may bring about; 0 is none",
-        low=0.0,
-        high=0.5,
     )

@@ -14,6 +14,7 @@ References
 """
 
 from dataclasses import dataclass
+from enum import IntEnum
 from functools import cached_property
 from typing import NamedTuple
 
@@ -23,7 +24,20 @@ from numpy.typing import NDArray
 from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.band import WIDTH
-from fuzzycnc_ros.core.thermal.probing import GATE, Verdict
+
+GATE = 4.0
+"""Standard deviations beyond which a probe is doubted [-]."""
+
+
+class Verdict(IntEnum):
+    """What became of a probe."""
+
+    ABSENT = 0
+    """Nothing was measured in this channel."""
+    ACCEPTED = 1
+    REJECTED = 2
+    """Far from the expected value, and no probe before it agrees."""
+
 
 RISE_LAGS = (600.0, 1800.0, 5400.0)
 """Lags of the rises [s]; with those of the speed the likeliest of six sets on the simulated mill
@@ -249,6 +263,29 @@ class Posterior:
         self._square, self._squares = float(TRUST), TRUST
         self._mean: Array = np.zeros(basis.features + 1)
         self._covariance: Array = np.diag(np.append(self._prior(scales), scales.drift_variance))
+
+    @property
+    def missed(self) -> float:
+        """Root mean square of what probes missed by, over what was expected [-]."""
+        return float(np.sqrt(self._square / self._squares))
+
+    def unknown(self, features: Array, time: float) -> dict[str, float]:
+        """Return the variance of a prediction from each part of it alone [m^2].
+
+        Parameters are those of `predict`.
+        """
+        rises, drift = self._basis.of_rises, self.scales.drift_variance
+        found = {}
+        for name, part in (
+            ('temperatures', slice(0, rises)),
+            ('spindle speed', slice(rises, self._basis.features)),
+        ):
+            row = features[part]
+            block = self._covariance[part, part]
+            found[name] = float(portable.matmul(portable.matmul(block, row), row))
+        kept = portable.exp((self._time - max(time, self._time)) / DRIFT_TIME)
+        found['drift'] = kept * kept * (float(self._covariance[-1, -1]) - drift) + drift
+        return found
 
     @property
     def due(self) -> bool:
@@ -636,23 +673,37 @@ class Learner:
     def __init__(self, basis: Basis, channels: int) -> None:
         self.basis = basis
         self.posteriors = tuple(Posterior(basis) for _ in range(channels))
-        self._rest()
+        self.rest()
 
     def begin_run(self) -> None:
         """Begin another run at its thermal reference."""
-        self._rest()
+        self.rest()
         for posterior in self.posteriors:
             posterior.begin_run()
             posterior.tune()
 
-    def _rest(self) -> None:
-        self.time = 0.0
-        """Time of the last sample since the thermal reference [s]."""
+    def rest(self) -> None:
+        """Go to the thermal reference of the run, where the machine is cold."""
+        self._time = 0.0
         self.lags = self.basis.initial_state()
         """Lagged rises and speeds, shape (p - s,)."""
         self._features = self._before = np.zeros(self.basis.features)
 
-    def step(self, rise: Array, speed: float) -> None:
+    def resume(self, rise: Array, lags: Array, time: float) -> None:
+        """Go to a sample of the run under way, whose `lags` were kept.
+
+        Raises
+        ------
+        ValueError
+            If they are not finite, or of other sensors.
+        """
+        features = np.concatenate((rise, lags))
+        if len(features) != self.basis.features or not np.isfinite(features).all():
+            raise ValueError(f'lags: expected {len(self.lags)} finite numbers')
+        self._time, self.lags = time, np.array(lags, dtype=np.float64)
+        self._features = self._before = features
+
+    def step(self, rise: Array, speed: float, time: float) -> None:
         """Go on to the next sample.
 
         Parameters
@@ -661,14 +712,15 @@ class Learner:
             Rises of the sensors [K].
         speed : float
             Spindle speed [rad/s].
+        time : float
+            Time since the thermal reference [s].
         """
-        self.time += self.basis.interval
-        self._before = self._features
+        self._time, self._before = time, self._features
         self._features, self.lags = self.basis.step(rise, speed, self.lags)
 
     def predict(self) -> tuple[Array, Array]:
         """Return the expected errors of the last sample and their deviations, (c,) [m]."""
-        found = [item.predict(self._features, self.time) for item in self.posteriors]
+        found = [item.predict(self._features, self._time) for item in self.posteriors]
         error, deviation = np.array(found).T
         return error, deviation
 
@@ -690,11 +742,15 @@ class Learner:
         for channel in np.flatnonzero(np.isfinite(error)):
             posterior = self.posteriors[channel]
             verdicts[channel] = posterior.update(
-                features, self.time - ago, float(error[channel]), float(noise[channel])
+                features, self._time - ago, float(error[channel]), float(noise[channel])
             )
             if verdicts[channel] == Verdict.ACCEPTED and posterior.due:
                 posterior.tune()
         return verdicts
+
+    def unknown(self, channel: int) -> dict[str, float]:
+        """Return the variance of a channel's prediction from each part of it alone [m^2]."""
+        return self.posteriors[channel].unknown(self._features, self._time)
 
     @property
     def memory(self) -> Array:

@@ -17,8 +17,7 @@ from fuzzycnc_ros.core.thermal.band import WIDTH, coverage, mean_of_square
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.fit.training import at_interval, training_interval
 from fuzzycnc_ros.core.thermal.fit.training_runs import check_training_runs
-from fuzzycnc_ros.core.thermal.learning import Basis, Learner
-from fuzzycnc_ros.core.thermal.probing import Verdict
+from fuzzycnc_ros.core.thermal.learning import Basis, Learner, Verdict
 from fuzzycnc_ros.core.thermal.run import JITTER_MAX, ThermalRun, speed_known
 from fuzzycnc_ros.studies.page.chart import Axis, Band, Chart, Panel, Rule, Series
 from fuzzycnc_ros.studies.page.drawing import AFTER, BEFORE, FAINT, MEASURED, MUTED, time_axis
@@ -151,7 +150,7 @@ def _followed(
     slack = JITTER_MAX * learner.basis.interval
     for row, (rise, now) in enumerate(zip(run.rise(), speeds, strict=True)):
         for name, item in ((CARRIED, before), (LEARNT, learner)):
-            item.step(rise, float(now))
+            item.step(rise, float(now), run.time[row] - run.time[0])
             predicted[name][row], deviation[name][row] = item.predict()
         predicted[HELD][row] = held
         taken = np.isfinite(probes[row]) & (run.time[row] >= due - slack)

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.components.thermal.predictor_stream import Probe, ProbeSource
-from fuzzycnc_ros.components.thermal.probe_correction import FILTERS, ProbeCorrection
+from fuzzycnc_ros.components.thermal.probe_learning import ProbeLearning
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.thermal.band import WIDTH, coverage
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.fit import Evaluation
 from fuzzycnc_ros.core.thermal.fit.training import at_interval
@@ -33,10 +34,10 @@ from fuzzycnc_ros.studies.page.table import Table
 from fuzzycnc_ros.studies.thermal.comparison import LEFT, residual_document, residual_table
 from fuzzycnc_ros.studies.thermal.many_runs import overall_document, overall_table
 from fuzzycnc_ros.studies.thermal.report_data import Score
-from fuzzycnc_ros.studies.thermal.summary import candidate_label
+from fuzzycnc_ros.studies.thermal.summary import candidate_label, micrometres
 
-UNPROBED, HELD = 'unprobed', 'held'
-"""Rows beside those of `FILTERS`: the default alone, and the last probe without any model."""
+UNPROBED, HELD, LEARNT = 'unprobed', 'held', 'learnt'
+"""Rows: the default alone, the last probe without any model, the default with what was learnt."""
 
 Counts = NDArray[np.int64]
 
@@ -56,14 +57,16 @@ class ProbedEvaluation:
         Least time between two probes of a channel [s].
     channel : tuple of str, length c
         Channels.
-    samples, probes : ndarray of int, shape (c,)
-        Samples that count, and probes taken.
-    doubted : mapping of str to ndarray of int, shape (c,)
-        Probes that the rows 'offset' and 'kalman' did not believe.
+    samples, probes, doubted : ndarray of int, shape (c,)
+        Samples that count, probes taken, and those of them that were not believed.
     rms, largest : mapping of str to ndarray, shape (c,)
         Root mean square and largest absolute residual [m] of 'uncompensated', of the default
-        'unprobed', of the last probe 'held' without a model, and of the default under
-        `probing: offset` and `probing: kalman`; infinite if it diverged, NaN if nothing counts.
+        'unprobed', of the last probe 'held' without a model, and of the default with what the
+        probes have taught, 'learnt'; infinite if it diverged, NaN if nothing counts.
+    covered : ndarray, shape (c,)
+        Share of the samples within the band of 'learnt' [-].
+    half_width : ndarray, shape (c,)
+        Half width of that band in the median [m].
     time : ndarray, shape (n,)
         Time of each sample between the bounds of the evaluation [s].
     residual : mapping of str to ndarray, shape (n, c)
@@ -75,9 +78,11 @@ class ProbedEvaluation:
     channel: tuple[str, ...]
     samples: Counts
     probes: Counts
-    doubted: Mapping[str, Counts]
+    doubted: Counts
     rms: Mapping[str, Array]
     largest: Mapping[str, Array]
+    covered: Array
+    half_width: Array
     time: Array
     residual: Mapping[str, Array]
 
@@ -131,6 +136,7 @@ def evaluate_probed(
         name: np.where(counted, judged.measured - values[inside], np.nan)
         for name, values in track.predicted.items()
     }
+    deviation = track.deviation[inside]
     scores = {
         name: [Score.of(*pair) for pair in zip(values.T, judged.measured.T, strict=True)]
         for name, values in residual.items()
@@ -141,9 +147,11 @@ def evaluate_probed(
         channel=judged.channel,
         samples=counted.sum(axis=0),
         probes=track.probes,
-        doubted={name: item.doubted for name, item in track.corrections.items()},
+        doubted=track.learning.doubted,
         rms={name: np.array([score.rms for score in own]) for name, own in scores.items()},
         largest={name: np.array([score.max for score in own]) for name, own in scores.items()},
+        covered=coverage(residual[LEARNT], deviation),
+        half_width=WIDTH * np.median(deviation, axis=0),
         time=judged.time,
         residual=residual,
     )
@@ -172,48 +180,40 @@ class _Track:
         alone = model.recursion().run(rise)
         # A diverged prediction counts as infinitely wrong, as where nothing is probed.
         self._alone = np.where(np.isnan(alone), np.inf, alone)
-        self._deviation, self._distance = model.standard_deviation(rise), model.distance(rise)
+        self._rise, self._expected = rise[:, : len(model.inputs)], model.standard_deviation(rise)
+        known = even.spindle_speed
+        self._speed = np.full(len(alone), np.nan) if known is None else known
         self._channel, self._axis = model.channel, model.axis
-        self._duration = ThermalPredictorConfig().correction_time
-        self.corrections = {
-            kind: ProbeCorrection(
-                model, ThermalPredictorConfig(probing=kind, probe_interval_min=every)
-            )
-            for kind in FILTERS
-        }
+        config = ThermalPredictorConfig(learn=True, probe_interval_min=every)
+        self.learning = ProbeLearning(model, config)
+        self.learning.begin(nanoseconds(even.time[REFERENCE_SAMPLES - 1]), None)
         self.probes: Counts = np.zeros(len(model.channel), dtype=np.int64)
         self.predicted = {UNCOMPENSATED: np.zeros_like(alone), UNPROBED: self._alone}
-        for name in (HELD, *FILTERS):
+        for name in (HELD, LEARNT):
             self.predicted[name] = np.full_like(alone, np.nan)
+        self.deviation = np.full_like(alone, np.nan)
 
     def follow(self, samples: Iterator[tuple[Stamp, tuple[Probe, ...]]]) -> None:
         """Predict each sample, then take the probes that came with it."""
         held = np.full(len(self._channel), np.nan)
         for row, (stamp, probes) in enumerate(samples):
             self.predicted[HELD][row] = held
-            for kind, correction in self.corrections.items():
-                self.predicted[kind][row] = self._corrected(correction, row, stamp, probes)
+            self._learn(row, stamp, probes)
             for probe in probes:
                 error, _ = probe.of_channels(self._channel, self._axis)
                 held = np.where(np.isfinite(error), error, held)
                 self.probes += np.isfinite(error)
 
-    def _corrected(
-        self, correction: ProbeCorrection, row: int, stamp: Stamp, probes: tuple[Probe, ...]
-    ) -> Array:
-        """Return a sample's prediction, corrected by the probes before it, shape (c,) [m]."""
+    def _learn(self, row: int, stamp: Stamp, probes: tuple[Probe, ...]) -> None:
+        """Predict a sample from the probes before it."""
+        self.learning.step(self._rise[row], float(self._speed[row]), stamp)
         if not np.isfinite(self._alone[row]).all():
-            correction.pause()
-            return self._alone[row]
-        error, _ = correction.apply(
-            stamp,
-            self._alone[row],
-            self._deviation[row],
-            float(self._distance[row]),
-            probes,
-            self._duration,
+            self.learning.pause()
+            self.predicted[LEARNT][row] = self._alone[row]
+            return
+        self.predicted[LEARNT][row], self.deviation[row] = self.learning.apply(
+            stamp, self._alone[row], self._expected[row], probes
         )
-        return error
 
 
 def _probes(
@@ -223,7 +223,7 @@ def _probes(
 
     Only displacements that are `usable`, shape (rows of the run,), are offered as probes.
     """
-    source = ProbeSource(ThermalPredictorConfig(probe_interval_min=every))
+    source = ProbeSource(ThermalPredictorConfig(learn=True, probe_interval_min=every))
     reference = nanoseconds(even.time[REFERENCE_SAMPLES - 1])
     noise = np.full(len(run.channel), np.nan)  # not recorded: the least one of a probe
     waiting = iter(np.flatnonzero(usable))
@@ -247,7 +247,7 @@ def _probes(
 
 Floats = NDArray[np.float64]
 
-_DRAWN = (('unprobed', FAINT, 0.9), ('held', OTHER, 0.9), ('kalman', AFTER, 1.4))
+_DRAWN = (('unprobed', FAINT, 0.9), ('held', OTHER, 0.9), ('learnt', AFTER, 1.4))
 """Rows that are drawn, each with its colour and width, from the back to the front."""
 
 RULE = (
@@ -275,11 +275,13 @@ def probed_lines(probed: Sequence[ProbedEvaluation]) -> list[str]:
         parts = [
             f'{item.run}: {_range(item.samples)} samples, {_range(item.probes)} probes a channel'
         ]
-        parts += [
-            f'{int(count.sum())} of them doubted ({candidate_label(name)})'
-            for name, count in item.doubted.items()
-            if count.any()
+        if item.doubted.any():
+            parts.append(f'{int(item.doubted.sum())} of them doubted')
+        bands = [
+            f'{name} ±{micrometres(half)} µm holds {100.0 * inside:.0f} %'
+            for name, half, inside in zip(item.channel, item.half_width, item.covered, strict=True)
         ]
+        parts.append(f'band: {", ".join(bands)}')
         beaten = _no_better_than_held(item)
         if beaten:
             parts.append(f'on {", ".join(beaten)} the last probe, held, does as well alone')
@@ -294,8 +296,9 @@ def probed_document(probed: Sequence[ProbedEvaluation]) -> dict[str, Any]:
     -------
     dict
         `every_s`; `runs`: run -> row -> channel -> `rms_um` and `max_um`; `overall`: row ->
-        channel -> median and worst of both; `samples`, `probes`: run -> channel -> number;
-        `doubted`: run -> row -> channel -> number.
+        channel -> median and worst of both; `samples`, `probes`, `doubted`: run -> channel ->
+        number; `covered`, `half_width_um`: run -> channel -> share of the samples in the band of
+        'learnt', and its half width in the median.
     """
     return {
         'every_s': probed[0].every,
@@ -305,8 +308,13 @@ def probed_document(probed: Sequence[ProbedEvaluation]) -> dict[str, Any]:
         'overall': overall_document(probed),
         'samples': {item.run: _by_channel(item, item.samples) for item in probed},
         'probes': {item.run: _by_channel(item, item.probes) for item in probed},
-        'doubted': {
-            item.run: {name: _by_channel(item, count) for name, count in item.doubted.items()}
+        'doubted': {item.run: _by_channel(item, item.doubted) for item in probed},
+        'covered': {
+            item.run: dict(zip(item.channel, item.covered.tolist(), strict=True))
+            for item in probed
+        },
+        'half_width_um': {
+            item.run: dict(zip(item.channel, (1e6 * item.half_width).tolist(), strict=True))
             for item in probed
         },
     }
@@ -331,7 +339,7 @@ def probed_section(item: ProbedEvaluation) -> Section:
 
 
 def probed_chart(item: ProbedEvaluation) -> Chart:
-    """Declare what is left unprobed, with the last probe held, and with the corrected model."""
+    """Declare what is left unprobed, with the last probe held, and learnt."""
     x, unit = time_axis(item.time)
     panels = [
         Panel(
@@ -351,8 +359,7 @@ def probed_chart(item: ProbedEvaluation) -> Chart:
 
 def _no_better_than_held(item: ProbedEvaluation) -> list[str]:
     """Return the channels on which probes say as much without the model as with it."""
-    with_model = np.fmin(item.rms['offset'], item.rms['kalman'])
-    worse = with_model >= item.rms['held']
+    worse = item.rms[LEARNT] >= item.rms[HELD]
     return [name for name, beaten in zip(item.channel, worse, strict=True) if beaten]
 
 

@@ -33,8 +33,7 @@ _LABELS = {
     APPLIED: 'As applied on the machine',
     'unprobed': 'Default, not probed',
     'held': 'Last probe held, no model',
-    'offset': 'Default, offset reset by probes',
-    'kalman': 'Default, offset and gain by probes',
+    'learnt': 'Default, learnt from the probes',
 }
 
 _LARGEST_SHOWN = 999.9e-6

@@ -59,8 +59,8 @@ def test_several_bags_have_one_table_and_a_short_one_is_named(fuzzycnc, bag, mod
     assert re.search(r'left out short: .*at most 2340 s between two probes', outcome.out)
     figures = json.loads(Path('e.json').read_text())['probed']
     assert list(figures['runs']) == ['a', 'b']
-    each = [figures['runs'][name]['kalman']['dz']['rms_um'] for name in 'ab']
-    assert figures['overall']['kalman']['dz']['worst_rms_um'] == pytest.approx(max(each))
+    each = [figures['runs'][name]['learnt']['dz']['rms_um'] for name in 'ab']
+    assert figures['overall']['learnt']['dz']['worst_rms_um'] == pytest.approx(max(each))
 
 
 @pytest.mark.parametrize(

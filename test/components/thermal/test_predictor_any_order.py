@@ -30,8 +30,7 @@ class Day:
         self._random = np.random.default_rng(seed)
         self._run = recordings()[self._one_of('T2', 'T3')]
         self._changes = {
-            'probing': self._one_of('none', 'offset', 'kalman'),
-            'adaptation': self._one_of(0.0, 0.1),
+            'learn': self._one_of(False, True),
             'swap_time': self._one_of(60.0, 300.0, 900.0),
             'settle_time': self._one_of(600.0, 3600.0),
             'gap_max': 600.0,

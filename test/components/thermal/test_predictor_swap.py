@@ -331,12 +331,12 @@ def test_model_of_fewer_channels_takes_over_in_those_it_has():
 def test_swap_learns_from_the_probes_before_it():
     """The new model is corrected by what was probed while the old one was in use."""
     run = recordings()['T2']
-    bench = bench_with_model(probing='offset', swap_time=SWAP_TIME)
+    bench = bench_with_model(learn=True, swap_time=SWAP_TIME)
     probes = [probe_of(run, row) for row in (30, 50)]
     predict(bench, run, range(60), probes=probes)
     use(bench, *OTHER)
     swapped = go_on(bench, range(60, 80))
-    single = bench_with_model(model_text(*OTHER), probing='offset')
+    single = bench_with_model(model_text(*OTHER), learn=True)
     alone = errors_of(predict(single, run, range(80), probes=probes))
     np.testing.assert_allclose(swapped[-1], alone[-1], atol=1e-9)
     assert np.abs(alone[-1] - course(*OTHER)[79]).max() > 0.3

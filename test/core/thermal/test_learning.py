@@ -27,8 +27,8 @@ from fuzzycnc_ros.core.thermal.learning import (
     Learner,
     Posterior,
     Scales,
+    Verdict,
 )
-from fuzzycnc_ros.core.thermal.probing import Verdict
 
 BASIS = Basis(2, True, 60.0)
 SCALES = Scales(20e-6, 8e-6, 2e-6, 0.4)
@@ -285,7 +285,8 @@ def test_no_sensor_or_too_many_are_refused(sensors):
 
 
 def stepped(learner, rise, speed=0.0):
-    learner.step(np.full(learner.basis.sensors, rise), speed)
+    time = learner._time + learner.basis.interval
+    learner.step(np.full(learner.basis.sensors, rise), speed, time)
     return learner.predict()
 
 

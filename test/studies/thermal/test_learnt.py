@@ -152,7 +152,7 @@ def walk(learner, run, rows, every=60):
     """Let a learner follow rows of a run, probed in every one of so many after the first."""
     rise, noise = run.rise(), np.full(2, 0.5e-6)
     for row in rows:
-        learner.step(rise[row], float(run.spindle_speed[row]))
+        learner.step(rise[row], float(run.spindle_speed[row]), run.time[row])
         if row > rows[0] and row % every == 0 and row < rows[-1]:
             learner.probe(run.displacement[row], noise)
 

@@ -22,7 +22,7 @@ from fuzzycnc_ros.core.thermal.run import ThermalDataError
 from fuzzycnc_ros.studies.thermal.probed import evaluate_probed
 
 HOUR = 3600.0
-ROWS = ('uncompensated', 'unprobed', 'held', 'offset', 'kalman')
+ROWS = ('uncompensated', 'unprobed', 'held', 'learnt')
 FIRST = 3
 """Row of the first probe of a whole run: the first after the thermal reference."""
 
@@ -38,14 +38,13 @@ def measured(values, run=None):
     return replace(run or recordings()['T3'], displacement=values)
 
 
-@pytest.mark.parametrize('kind', ['offset', 'kalman'])
-def test_correction_is_that_of_the_live_predictor(kind):
+def test_what_is_learnt_is_that_of_the_live_predictor():
     run = recordings()['T3']
-    bench = bench_with_model(model_text('D0'), probing=kind, probe_interval_min=HOUR)
+    bench = bench_with_model(model_text('D0'), learn=True, probe_interval_min=HOUR)
     every = range(len(run.time))
     found = predict(bench, run, every, probes=[probe_of(run, row) for row in every])
     live = run.displacement / MICRON - errors_of(found)
-    ours = probed().residual[kind] / MICRON
+    ours = probed().residual['learnt'] / MICRON
     np.testing.assert_allclose(ours[FIRST + 1 :], live[FIRST + 1 :], atol=1e-6)
     assert np.isnan(ours[: FIRST + 1]).all()
 
@@ -90,9 +89,8 @@ def test_all_rows_are_judged_on_the_same_samples_and_agree_with_an_evaluation():
 
 def test_model_of_one_run_is_better_with_probes_and_they_better_with_it():
     rms = probed().rms
-    for kind in ('offset', 'kalman'):
-        assert (rms[kind] < 0.8 * rms['unprobed']).all()
-        assert (rms[kind] < 0.8 * rms['held']).all()
+    assert (rms['learnt'] < 0.8 * rms['unprobed']).all()
+    assert (rms['learnt'] < 0.8 * rms['held']).all()
 
 
 def test_probing_begins_with_what_is_judged():
@@ -131,11 +129,8 @@ def test_doubted_probe_is_counted():
     values = run.displacement.copy()
     values[FIRST + 120, 0] += 60.0 * MICRON
     found = probed(measured(values))
-    assert {name: count.tolist() for name, count in found.doubted.items()} == {
-        'offset': [1, 0],
-        'kalman': [1, 0],
-    }
-    assert found.largest['kalman'][0] == pytest.approx(60.0 * MICRON, rel=0.2)
+    assert found.doubted.tolist() == [1, 0]
+    assert found.largest['learnt'][0] == pytest.approx(60.0 * MICRON, rel=0.2)
 
 
 @pytest.mark.parametrize(

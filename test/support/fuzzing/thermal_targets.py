@@ -176,10 +176,10 @@ class PredictorTarget(CopiedTarget):
     step = 60 * SECOND
     run = property(lambda self: predictor_bench.recordings()['T1'])
     rows = 12
-    probing = 'none'
+    learn = False
 
     def make(self) -> Bench:
-        bench = predictor_bench.bench_with_model(probing=self.probing)
+        bench = predictor_bench.bench_with_model(learn=self.learn)
         predictor_bench.predict(bench, self.run, range(self.rows))
         self.start = bench.merger.time + self.step
         assert bench.records('thermal_error')[-1].valid
@@ -242,7 +242,7 @@ class PredictorTarget(CopiedTarget):
             work(bench, stamp)
             found.append(bench.records('thermal_error')[-1])
         assert found[-1].valid, bench.health()
-        if self.probing == 'none':
+        if not self.learn:
             errors = predictor_bench.errors_of(found[2:])
             np.testing.assert_allclose(errors, self.wanted, atol=1e-6)
 
@@ -257,4 +257,4 @@ class ProbingTarget(PredictorTarget):
     """A predictor that learns from probes; hostile ones that are plausible count as well."""
 
     inputs = ('compensation_applied', 'displacement', 'thermal_reference', 'temperatures')
-    probing = 'offset'
+    learn = True

@@ -1,0 +1,264 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Learning from the probes that come with the samples: the error of a model, or all of it.
+
+Published error = prediction of the model + learnt rest.  What a probe changes comes into force
+within `correction_time` and never steps.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fuzzycnc_ros.components.thermal.fade import Fade
+from fuzzycnc_ros.components.thermal.predictor_stream import Probe
+from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
+from fuzzycnc_ros.core.thermal.band import WIDTH
+from fuzzycnc_ros.core.thermal.learning import Basis, Learner, Verdict
+from fuzzycnc_ros.core.thermal.model import ThermalModel
+from fuzzycnc_ros.runtime.component import Health, Level
+from fuzzycnc_ros.runtime.records import SECOND, Bools, Floats, Stamp, ThermalPosterior
+
+MISSED_MAX = 3.0
+"""Root mean square of what probes missed, over the deviation expected [-], that is said aloud:
+the machine is not what the probes before have taught."""
+
+
+class Owner(NamedTuple):
+    """What a posterior belongs to: file of the model, thermal reference, frame of the machine."""
+
+    model_hash: str
+    reference_stamp: Stamp
+    frame_id: str
+
+
+class ProbeLearning:
+    """Learn what is left of one model's error, by the probes that come with its samples.
+
+    Parameters
+    ----------
+    model : ThermalModel
+        The model.
+    config : ThermalPredictorConfig
+        Whether anything is learnt, and the band beyond which a probe is asked for.
+    """
+
+    def __init__(self, model: ThermalModel, config: ThermalPredictorConfig) -> None:
+        self._model, self._config = model, config
+        self._learner = (
+            Learner(Basis(len(model.inputs), True, model.interval), len(model.channel))
+            if config.learn
+            else None
+        )
+        channels = len(model.channel)
+        self._jump = Fade(np.zeros(channels))
+        """Error published minus error known: what the last probes changed, on its way to zero."""
+        self._predicted: tuple[Stamp, Floats] | None = None
+        self._worked_at: Stamp | None = None
+        self._learnt_at: Stamp = 0
+        self._since: Stamp = 0
+        self._probes = np.zeros(channels, dtype=np.int64)
+        self._probed_at: Stamp | None = None
+        self._doubt = ''
+        self._deviation = np.full(channels, np.nan)
+        self.doubted: NDArray[np.int64] = np.zeros(channels, dtype=np.int64)
+        """Number of probes of each channel that were not believed, shape (c,)."""
+        self.news = False
+        """Whether something was learnt that has not been told yet."""
+
+    @property
+    def active(self) -> bool:
+        """Whether probes have any effect."""
+        return self._learner is not None
+
+    def begin(self, since: Stamp, memory: ThermalPosterior | None) -> None:
+        """Begin at a new thermal reference, or go on with what an earlier life has learnt.
+
+        Parameters
+        ----------
+        since : int
+            Stamp of the reference [ns].
+        memory : ThermalPosterior, optional
+            What an earlier life has learnt, of this model.
+        """
+        if self._learner is None:
+            return
+        if memory is not None:
+            self._recall(memory)
+        begun = self._since
+        if memory is not None:
+            begun = memory.reference_stamp
+        if begun and begun != since:
+            self._learner.begin_run()
+            self.news = True
+        else:
+            self._learner.rest()
+        self._since, self._jump = since, Fade(np.zeros(len(self._probes)))
+        self._worked_at = self._predicted = None
+
+    def pause(self) -> None:
+        """Note that there is no prediction: nothing can be said of a probe until the next."""
+        self._predicted = None
+
+    def _recall(self, memory: ThermalPosterior) -> None:
+        """Take back what was learnt; a damaged memory is none, which is said aloud."""
+        assert self._learner is not None
+        try:
+            self._learner.memory = memory.memory
+        except ValueError as error:
+            self._doubt = f'what was learnt before is lost: {error}'
+            return
+        self._probes, self._learnt_at = memory.probes.astype(np.int64), memory.stamp
+
+    def step(self, rise: Floats, speed: float, stamp: Stamp) -> None:
+        """Go on to a sample of rises [K] and spindle speed [rad/s]; NaN where it was not told."""
+        if self._learner is not None:
+            known = speed if np.isfinite(speed) else 0.0
+            self._learner.step(rise, known, self._elapsed(stamp))
+
+    def apply(
+        self, stamp: Stamp, predicted: Floats, deviation: Floats, probes: tuple[Probe, ...]
+    ) -> tuple[Floats, Floats]:
+        """Return the error and its standard deviation, probes considered, shapes (c,) [m].
+
+        Parameters
+        ----------
+        stamp : int
+            Stamp of the sample [ns], the last that was stepped to.
+        predicted, deviation : ndarray, shape (c,)
+            Prediction of the model [m].
+        probes : tuple of Probe
+            Probes since the sample before, oldest first; they act from the next sample on.
+        """
+        if self._learner is None:
+            return predicted, deviation
+        if self._worked_at is not None:
+            self._jump.advance((stamp - self._worked_at) / SECOND)
+        self._worked_at = stamp
+        for probe in probes:
+            if probe.stamp > max(self._since, self._learnt_at):
+                self._take(probe, stamp, predicted)
+        self._predicted = (stamp, predicted)
+        learnt, known = self._learner.predict()
+        jump = self._jump.value
+        # What has not come into force yet is an error that is known.
+        self._deviation = np.hypot(known, jump)
+        return predicted + learnt + jump, self._deviation
+
+    def _take(self, probe: Probe, stamp: Stamp, predicted: Floats) -> None:
+        assert self._learner is not None
+        measured, noise = probe.of_channels(self._model.channel, self._model.axis)
+        expected = self._at(probe.stamp, stamp, predicted)
+        if expected is None or not np.isfinite(measured).any():
+            why = 'nothing was predicted' if expected is None else 'its channels are not predicted'
+            self._doubt = f'probe at {probe.stamp / SECOND:.3f} s is not used: {why}'
+            return
+        before, _ = self._learner.predict()
+        verdicts = self._learner.probe(measured - expected, noise, (stamp - probe.stamp) / SECOND)
+        after, _ = self._learner.predict()
+        self._jump = Fade(self._jump.value + before - after)
+        self._jump.to(np.zeros(len(after)), self._config.correction_time)
+        self._probes += verdicts == Verdict.ACCEPTED
+        self.doubted += verdicts == Verdict.REJECTED
+        self._learnt_at = self._probed_at = stamp
+        self.news = True
+        doubted = [
+            f'{name} by {1e6 * value:+.1f} um'
+            for name, value, verdict in zip(
+                self._model.channel, measured - expected - before, verdicts, strict=True
+            )
+            if verdict == Verdict.REJECTED
+        ]
+        self._doubt = (
+            f'probe at {probe.stamp / SECOND:.3f} s is off in {", ".join(doubted)}, more than is '
+            'likely: it is believed if the next one agrees'
+            if doubted
+            else ''
+        )
+
+    def _at(self, probed: Stamp, stamp: Stamp, predicted: Floats) -> Floats | None:
+        """Return what the model predicted for the time of a probe, None if nothing."""
+        if probed == stamp:
+            return predicted
+        if self._predicted is None or probed < self._predicted[0]:
+            return None
+        before, first = self._predicted
+        return first + (predicted - first) * ((probed - before) / (stamp - before))
+
+    def _elapsed(self, stamp: Stamp) -> float:
+        """Return the time since the thermal reference [s]."""
+        return max(stamp - self._since, 0) / SECOND
+
+    @property
+    def blocks(self) -> dict[str, Floats]:
+        """States by name, as a checkpoint of the run keeps them; none without learning."""
+        if self._learner is None:
+            return {}
+        return {'lags': self._learner.lags, 'jump': self._jump.state}
+
+    def resume(self, stamp: Stamp, rise: Floats, blocks: dict[str, Floats]) -> None:
+        """Take back the states of the run that an earlier life ended in.
+
+        Raises
+        ------
+        ValueError
+            If a state does not fit; what was taken back before it stays.
+        """
+        if self._learner is None or 'lags' not in blocks:
+            return
+        self._learner.resume(rise, blocks['lags'], self._elapsed(stamp))
+        if 'jump' in blocks:
+            self._jump.state = blocks['jump']
+        self._worked_at = stamp
+
+    def record(self, stamp: Stamp, owner: Owner) -> ThermalPosterior:
+        """Return all that was learnt so far."""
+        assert self._learner is not None
+        self.news = False
+        return ThermalPosterior(
+            stamp=stamp,
+            frame_id=owner.frame_id,
+            model_hash=owner.model_hash,
+            reference_stamp=owner.reference_stamp,
+            interval=self._model.interval,
+            input=self._model.inputs,
+            axis=self._model.axis,
+            channel=self._model.channel,
+            probes=self._probes.astype(np.uint64),
+            memory=self._learner.memory,
+        )
+
+    def health(self) -> list[Health]:
+        """Report how well the error is known, which probe was doubted, when to probe next."""
+        if self._learner is None:
+            return []
+        half = WIDTH * self._deviation
+        values, known = {}, []
+        for number, name in enumerate(self._model.channel):
+            values[f'band {name} [um]'] = f'{1e6 * half[number]:.2f}'
+            values[f'probes {name} [-]'] = str(self._probes[number])
+            known.append(f'{name} to ±{1e6 * half[number]:.1f} um')
+        text = f'{int(self._probes.max())} probes; known: {", ".join(known)}'
+        level = Level.WARN if self._doubt else Level.OK
+        items = [Health('learning', level, self._doubt or text, values)]
+        missed = np.array([item.missed for item in self._learner.posteriors])
+        if (missed > MISSED_MAX).any():
+            names = ', '.join(np.array(self._model.channel)[missed > MISSED_MAX])
+            text = f'{names}: probes miss by far more than expected; has the machine changed?'
+            items.append(Health('changed', Level.WARN, text))
+        wide = half > self._config.band_wanted
+        if wide.any():
+            names = ', '.join(np.array(known)[wide])
+            items.append(Health('probe due', Level.OK, f'known: {names}; {self._reason(wide)}'))
+        return items
+
+    def _reason(self, wide: Bools) -> str:
+        """Say why a probe is due."""
+        assert self._learner is not None
+        if self._probed_at is None or self._worked_at is None:
+            return 'not probed yet since the start'
+        part = [self._learner.unknown(int(number)) for number in np.flatnonzero(wide)]
+        kind = max(part[0], key=lambda name: part[0][name])
+        hours = (self._worked_at - self._probed_at) / SECOND / 3600.0
+        return f'mostly unknown: {kind}; the last probe was {hours:.1f} h ago'

@@ -1,0 +1,62 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A thermal model that predicts nothing: the mean from which all of the error is learnt."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fuzzycnc_ros.core.thermal.band import Band
+from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED, Candidate
+from fuzzycnc_ros.core.thermal.domain import Domain
+from fuzzycnc_ros.core.thermal.model import ThermalModel
+from fuzzycnc_ros.core.thermal.recursions.base import LinearRecursion
+from fuzzycnc_ros.core.thermal.sensor_watch import SensorCluster, SensorSelection
+
+LABEL = 'learnt'
+"""Name under which errors are published that are learnt from nothing."""
+
+
+def blank_model(inputs: Sequence[str], axis: Sequence[str], interval: float) -> ThermalModel:
+    """Return a model of any temperatures that predicts no error.
+
+    Parameters
+    ----------
+    inputs : sequence of str, length p
+        Sensors.
+    axis : sequence of str, length c
+        ISO 841 axes, which are the channels, too.
+    interval : float
+        Sampling interval [s].
+
+    Raises
+    ------
+    ValueError
+        If a sensor or an axis is named twice, or there is none, or the interval is none.
+    """
+    sensors, channels = len(inputs), len(axis)
+    nothing = LinearRecursion(
+        pole=np.empty(0),
+        drive=np.empty((0, sensors)),
+        readout=np.empty((channels, 0)),
+        direct=np.zeros((channels, sensors)),
+        offset=np.zeros(channels),
+    )
+    unknown = np.full(channels, np.nan)
+    alone = [SensorCluster((name,), (1.0,), name, (), (), ()) for name in inputs]
+    return ThermalModel(
+        inputs=tuple(inputs),
+        interval=interval,
+        channel=tuple(axis),
+        axis=tuple(axis),
+        runs=(),
+        candidates={
+            UNCOMPENSATED: Candidate(
+                UNCOMPENSATED, ({},) * channels, nothing, (), unknown, unknown
+            )
+        },
+        default=(UNCOMPENSATED,) * channels,
+        selection=SensorSelection('all', tuple(alone), 1.0, np.nan, (), ()),
+        domain=Domain(np.zeros(sensors), np.empty((0, sensors)), np.empty(0), np.inf),
+        band=Band(np.zeros(channels), 0.0),
+    )
