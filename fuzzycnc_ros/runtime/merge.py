@@ -48,7 +48,7 @@ PARALLEL: dict[type[Any], dict[str, tuple[str, ...]]] = {
         'axis': ('channel', 'error', 'standard_deviation'),
         'substituted': ('substitute',),
     },
-    ThermalPosterior: {'axis': ('channel', 'probes')},
+    ThermalPosterior: {'axis': ('channel', 'probes', 'evidence')},
     ThermalReference: {'sensor': ('temperature',)},
 }
 """Array of each record to those that are parallel to it."""

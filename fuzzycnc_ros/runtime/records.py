@@ -148,6 +148,7 @@ class ThermalPosterior(Record):
     axis: Names
     channel: Names
     probes: Counts
+    evidence: Floats
     memory: Floats
 
 

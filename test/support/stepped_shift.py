@@ -63,7 +63,8 @@ class Shift:
     """One duty of the whole graph, sample by sample, and what was said on the way.
 
     `text` is a model file, `change` is put on what the machine says, and `parameters` are those
-    of the predictor.  Sample k carries the stamp k + 1 min.
+    of the predictor, which learns from nothing where the text is empty.  Sample k carries the
+    stamp k + 1 min.
     """
 
     def __init__(
@@ -76,6 +77,8 @@ class Shift:
         probe_interval=60.0,
         stuck_time=600.0,
         change=None,
+        compensator=None,
+        displacement_compensated=False,
         **parameters,
     ):
         machine = ChangedMachine(
@@ -84,18 +87,21 @@ class Shift:
                 seed=seed,
                 sensor_faults=tuple(faults),
                 displacement_interval=probe_interval,
+                displacement_compensated=displacement_compensated,
             )
         )
         machine.change = change or (lambda emission: emission)
         self.predictor = ThermalPredictor(ThermalPredictorConfig(**parameters))
-        self.compensator = Compensator()
+        self.compensator = Compensator(compensator)
         acquisition = TemperatureAcquisition(TemperatureAcquisitionConfig(stuck_time=stuck_time))
         self.graph = InProcessGraph(
             machine, [acquisition, self.predictor, self.compensator], sink=self._take
         )
         self.errors, self.health, self.compensation, self.applied = [], [], [], []
+        self.posteriors = []
         self._measured = {}
-        self.use(text)
+        if text:
+            self.use(text)
         assert self.graph.request('compensator', 'activate').success
 
     def _take(self, topic: str, record: Record) -> None:
@@ -104,6 +110,8 @@ class Shift:
             self.health.append({item.name: item.message for item in self.predictor.health()})
         elif topic == 'compensation':
             self.compensation.append(record)
+        elif topic == 'thermal_posterior':
+            self.posteriors.append(record)
         elif topic == 'compensation_applied':
             self.applied.append(1e6 * record.offset)
         elif topic == 'displacement':

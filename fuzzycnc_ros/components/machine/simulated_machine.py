@@ -224,7 +224,9 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
         if slow:
             machine, since = self.frame('machine'), stamp - self._start
             yield self._warmth.applied(stamp, machine, self.sources.refusal('compensation'))
-            yield from self._warmth.readings(stamp, since, machine, workpiece)
+            measured = self._config.displacement_compensated
+            offset = self._warmth.offsets.applied if measured else None
+            yield from self._warmth.readings(stamp, since, machine, workpiece, offset)
         yield from moved
         yield from self._stitching.tick(moved, self._motion, workpiece)
         told = {item.output for item in moved}

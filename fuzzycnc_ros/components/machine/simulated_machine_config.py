@@ -121,6 +121,12 @@ class SimulatedMachineConfig(Config):
     displacement_interval: float = param(
         60.0, 's', 'Machine time between two displacement measurements', low=0.1, high=3600.0
     )
+    displacement_compensated: bool = param(
+        False,
+        '-',
+        'Measure displacements as a probe does, offsets in force included; else those of the '
+        'bare machine',
+    )
     sensor_faults: tuple[str, ...] = param(
         (), '-', 'Sensor faults as sensor:kind:start[:value], start in s after a duty began'
     )

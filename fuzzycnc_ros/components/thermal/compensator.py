@@ -13,9 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from fuzzycnc_ros.components.thermal.axis_trust import AxisTrust
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.inputs.offsets import AXES, EPOCH_STEP, NEGLIGIBLE, describe
 from fuzzycnc_ros.runtime.component import (
+    LATCHED,
     REQUEST,
     Answer,
     Component,
@@ -38,6 +40,7 @@ from fuzzycnc_ros.runtime.records import (
     MachineState,
     Record,
     ThermalError,
+    ThermalPosterior,
     nanoseconds,
 )
 
@@ -68,6 +71,22 @@ class CompensatorConfig(Config):
     ramp_rate: float = param(
         0.1e-6, 'm/s', 'Speed at which offsets go to zero; not above slew_max', low=1e-9, high=1e-3
     )
+    band_share: float = param(
+        0.0,
+        '-',
+        'Half width of the band of two standard deviations, over what is taken off, up to which '
+        'an axis begins to be followed; it ends where the band is wider; 0 follows any',
+        low=0.0,
+        high=1.0,
+        live=True,
+    )
+    first_share: float = param(
+        1.0,
+        '-',
+        'Part of the error that is taken off until probes under that offset confirm it',
+        low=0.1,
+        high=1.0,
+    )
     period: float = param(
         10.0, 's', 'Time between updates while offsets move without an input', low=0.01, high=600.0
     )
@@ -93,6 +112,7 @@ class Compensator(Component[CompensatorConfig]):
     INPUTS = (
         MACHINE,
         APPLIED,
+        Input('thermal_posterior', ThermalPosterior, LATCHED, quiet=True, sole=True),
         Input('thermal_error', ThermalError, driving=True, sole=True),
     )
     OUTPUTS = (Output('compensation', Compensation),)
@@ -118,6 +138,7 @@ class Compensator(Component[CompensatorConfig]):
         self._slewing = np.zeros(len(self._axes), bool)
         self._why = 'inactive'
         self._misread = ''
+        self._trust = AxisTrust(self._axes)
 
     @staticmethod
     def _check(config: CompensatorConfig) -> None:
@@ -157,7 +178,12 @@ class Compensator(Component[CompensatorConfig]):
             return
         self._why = self._refusal(error)
         if not self._why:
-            self._target = -self._errors(error)
+            self._target = -self._trust.follow(
+                self._of_axes(error, error.error),
+                self._of_axes(error, error.standard_deviation),
+                self._config.band_share,
+                self._config.first_share,
+            )
             self._good_at = error.stamp
             self._bad_since = None
         elif self._bad_since is None:
@@ -166,6 +192,10 @@ class Compensator(Component[CompensatorConfig]):
             self._yield_to(self._rival)
             return
         yield self._update(error.stamp)
+
+    def on_thermal_posterior(self, posterior: ThermalPosterior) -> None:
+        """Note which axes probes under an offset have confirmed."""
+        self._trust.learn(posterior)
 
     def on_compensation_applied(self, applied: CompensationApplied) -> None:
         """Join the offsets in force: at first, and whenever the machine does not follow.
@@ -229,6 +259,7 @@ class Compensator(Component[CompensatorConfig]):
         self._state = CompensationState(record.state)
         self._offset, self._slewing = record.offset.copy(), record.slewing.copy()
         self._at_limit = record.at_limit.copy()
+        self._trust.known = record.offset != 0.0
         if self._state is CompensationState.ACTIVE:
             self._bad_since = None
         self._wake_at = self._following_deadline(record.stamp)
@@ -272,6 +303,8 @@ class Compensator(Component[CompensatorConfig]):
             )
         if self._misread:
             items.append(Health('read-back', Level.ERROR, self._misread))
+        if self._active:
+            items += self._trust.health()
         for title, flags in (('size limit', self._at_limit), ('slew limit', self._slewing)):
             if flags.any():
                 named = ', '.join(np.array(self._axes)[flags])
@@ -282,6 +315,7 @@ class Compensator(Component[CompensatorConfig]):
         if self._active:
             return Answer(False, 'already active')
         self._active = True
+        self._trust.known[:] = False
         self._good_at = self._bad_since = self._wake_at = None
         self._moved_at = stamp
         self._why = 'waiting for the read-back of the machine and a valid thermal error'
@@ -372,9 +406,9 @@ class Compensator(Component[CompensatorConfig]):
             )
         return ''
 
-    def _errors(self, error: ThermalError) -> Floats:
-        """Pick the error of each axis; the first channel speaks for an axis with several."""
-        return np.array([error.error[error.axis.index(axis)] for axis in self._axes])
+    def _of_axes(self, error: ThermalError, values: Floats) -> Floats:
+        """Pick the value of each axis; the first channel speaks for an axis with several."""
+        return np.array([values[error.axis.index(axis)] for axis in self._axes])
 
     def _update(self, stamp: int) -> Emission:
         """Decide the state at `stamp`, move the offsets and set the next deadline."""

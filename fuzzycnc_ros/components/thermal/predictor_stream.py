@@ -190,6 +190,8 @@ class Probe:
         Thermal error [m]; NaN where nothing usable was measured.
     deviation : ndarray
         Standard deviation of each value [m].
+    offset : ndarray
+        Offset that was in force and is taken off the error [m].
     """
 
     stamp: Stamp
@@ -197,25 +199,25 @@ class Probe:
     axis: Names
     error: Floats
     deviation: Floats
+    offset: Floats
 
-    def of_channels(self, channel: Names, axis: Names) -> tuple[Floats, Floats]:
-        """Return error and deviation of a model's channels, NaN where it was not probed.
+    def of_channels(self, channel: Names, axis: Names) -> tuple[Floats, Floats, Floats]:
+        """Return error, deviation and offset of a model's channels, NaN if it was not probed.
 
         A value belongs to the channel of its name; where the names differ, to the only channel of
         its axis.
         """
-        error, deviation = np.full((2, len(channel)), np.nan)
-        for name, along, value, spread in zip(
-            self.channel, self.axis, self.error, self.deviation, strict=True
-        ):
+        found = np.full((3, len(channel)), np.nan)
+        rows = zip(self.channel, self.axis, self.error, self.deviation, self.offset, strict=True)
+        for name, along, *values in rows:
             if name in channel:
                 column = channel.index(name)
             elif axis.count(along) == 1:
                 column = axis.index(along)
             else:
                 continue
-            error[column], deviation[column] = value, spread
-        return error, deviation
+            found[:, column] = values
+        return found[0], found[1], found[2]
 
 
 class ProbeSource:
@@ -272,9 +274,11 @@ class ProbeSource:
         if not usable.any():
             return None
         error = np.where(usable, record.displacement, np.nan)
+        offset = np.zeros_like(error)
         if record.includes_compensation:
             try:
-                error = error - self._offsets(record)
+                offset = self._offsets(record)
+                error = error - offset
             except ValueError as refusal:
                 self.trouble = f'probe at {record.stamp / SECOND:.3f} s refused: {refusal}'
                 return None
@@ -297,7 +301,7 @@ class ProbeSource:
         self.trouble = ''
         # A probe of unknown deviation gets the least one.
         deviation = np.fmax(record.standard_deviation, self._noise)
-        return Probe(record.stamp, record.channel, record.axis, error, deviation)
+        return Probe(record.stamp, record.channel, record.axis, error, deviation, offset)
 
     def _offsets(self, record: Displacement) -> Floats:
         """Return what was applied at the time of a probe, per value [m].

@@ -15,6 +15,7 @@ from fuzzycnc_ros.components.thermal.fade import Fade
 from fuzzycnc_ros.components.thermal.predictor_stream import Probe
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.thermal.band import WIDTH
+from fuzzycnc_ros.core.thermal.confirmation import is_right, is_wrong, judged
 from fuzzycnc_ros.core.thermal.learning import Basis, Learner, Verdict
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.runtime.component import Health, Level
@@ -57,6 +58,8 @@ class ProbeLearning:
         self._predicted: tuple[Stamp, Floats] | None = None
         self._worked_at: Stamp | None = None
         self._learnt_at: Stamp = 0
+        self.evidence = np.zeros(channels)
+        """Evidence that probes see an offset as it is, shape (c,) [-]; see `judged`."""
         self._since: Stamp = 0
         self._probes = np.zeros(channels, dtype=np.int64)
         self._probed_at: Stamp | None = None
@@ -109,6 +112,7 @@ class ProbeLearning:
         except ValueError as error:
             self._doubt = f'what was learnt before is lost: {error}'
             return
+        self.evidence = memory.evidence.copy()
         self._probes, self._learnt_at = memory.probes.astype(np.int64), memory.stamp
 
     def step(self, rise: Floats, speed: float, stamp: Stamp) -> None:
@@ -148,13 +152,14 @@ class ProbeLearning:
 
     def _take(self, probe: Probe, stamp: Stamp, predicted: Floats) -> None:
         assert self._learner is not None
-        measured, noise = probe.of_channels(self._model.channel, self._model.axis)
+        measured, noise, offset = probe.of_channels(self._model.channel, self._model.axis)
         expected = self._at(probe.stamp, stamp, predicted)
         if expected is None or not np.isfinite(measured).any():
             why = 'nothing was predicted' if expected is None else 'its channels are not predicted'
             self._doubt = f'probe at {probe.stamp / SECOND:.3f} s is not used: {why}'
             return
-        before, _ = self._learner.predict()
+        before, deviation = self._learner.predict()
+        measured = self._trusted(measured, measured - expected - before, noise, deviation, offset)
         verdicts = self._learner.probe(measured - expected, noise, (stamp - probe.stamp) / SECOND)
         after, _ = self._learner.predict()
         self._jump = Fade(self._jump.value + before - after)
@@ -176,6 +181,25 @@ class ProbeLearning:
             if doubted
             else ''
         )
+
+    def _trusted(
+        self, measured: Floats, missed: Floats, noise: Floats, deviation: Floats, offset: Floats
+    ) -> Floats:
+        """Return the errors (c,) that may be learnt, NaN for the others.
+
+        Until probes are known to see an offset as it is, one that is taken under a large offset
+        says that and nothing else: of a wrong sign it would feed on itself.
+        """
+        spread = np.hypot(deviation, noise)
+        for number in np.flatnonzero(np.isfinite(measured)):
+            self.evidence[number] = judged(
+                float(self.evidence[number]),
+                float(missed[number]),
+                float(spread[number]),
+                float(offset[number]),
+            )
+        free = is_right(self.evidence) | (np.abs(offset) <= spread)
+        return np.where(free & ~is_wrong(self.evidence), measured, np.nan)
 
     def _at(self, probed: Stamp, stamp: Stamp, predicted: Floats) -> Floats | None:
         """Return what the model predicted for the time of a probe, None if nothing."""
@@ -226,6 +250,7 @@ class ProbeLearning:
             axis=self._model.axis,
             channel=self._model.channel,
             probes=self._probes.astype(np.uint64),
+            evidence=self.evidence.copy(),
             memory=self._learner.memory,
         )
 

@@ -200,7 +200,7 @@ class _Track:
             self.predicted[HELD][row] = held
             self._learn(row, stamp, probes)
             for probe in probes:
-                error, _ = probe.of_channels(self._channel, self._axis)
+                error, _, _ = probe.of_channels(self._channel, self._axis)
                 held = np.where(np.isfinite(error), error, held)
                 self.probes += np.isfinite(error)
 

@@ -57,7 +57,7 @@ def test_without_probing_a_displacement_changes_nothing():
 
 
 def test_compensation_that_was_active_is_taken_off():
-    run, row, offset = recordings()['T3'], 100, np.array([-7.0, 5.0]) * MICRON
+    run, row, offset = recordings()['T3'], 100, np.array([-1.0, 0.7]) * MICRON
     bare = probe_of(run, row, later=-30.0)
     plain = bench_with_model(learn=True)
     wanted = errors_of(predict(plain, run, range(110), probes=[bare]))

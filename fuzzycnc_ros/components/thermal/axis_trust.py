@@ -1,0 +1,108 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Axes whose error is followed: known well enough, and confirmed by a probe under an offset."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from fuzzycnc_ros.core.thermal.band import WIDTH
+from fuzzycnc_ros.core.thermal.confirmation import is_right, is_wrong
+from fuzzycnc_ros.runtime.component import Health, Level
+from fuzzycnc_ros.runtime.records import Bools, Floats, Names, ThermalPosterior
+
+
+class AxisTrust:
+    """How much of each axis' error is followed, in [0, 1].
+
+    Parameters
+    ----------
+    axes : tuple of str, length c
+        The axes.
+    """
+
+    def __init__(self, axes: Names) -> None:
+        self._axes = axes
+        self._error = self._half = np.full(len(axes), np.nan)
+        self._part = np.ones(len(axes))
+        self._evidence = np.zeros(len(axes))
+        self._turn: int | None = None
+        """Axis that is tried, of those that no probe has confirmed."""
+        self.known: Bools = np.zeros(len(axes), dtype=np.bool_)
+        """Axes whose error is known well enough, shape (c,)."""
+
+    def learn(self, posterior: ThermalPosterior) -> None:
+        """Take what probes under an offset have said; the first channel speaks for an axis."""
+        for number, axis in enumerate(self._axes):
+            if axis in posterior.axis:
+                self._evidence[number] = posterior.evidence[posterior.axis.index(axis)]
+
+    def follow(
+        self, error: Floats, deviation: Floats, band_share: float, first_share: float
+    ) -> Floats:
+        """Return the part of the error (c,) [m] that is to be taken off, shape (c,) [m].
+
+        Parameters
+        ----------
+        error, deviation : ndarray, shape (c,)
+            Thermal error and its standard deviation [m]; NaN where that is not known.
+        band_share : float
+            Half width of the band over what is taken off, up to which an axis begins to be
+            followed; it is no longer where the band is wider than that [-].  0 follows all.
+        first_share : float
+            Part of the error that is taken off until a probe confirms it [-].
+        """
+        self._error, self._half = error, WIDTH * deviation
+        self._part = np.where(is_right(self._evidence), 1.0, first_share)
+        if first_share < 1.0:
+            self._part[is_wrong(self._evidence)] = 0.0
+        size = self._part * np.abs(error)
+        if band_share > 0.0:
+            begins, goes_on = self._half <= band_share * size, self._half <= size
+            self.known = begins | (self.known & goes_on)
+        else:
+            self.known = np.ones(len(self._axes), dtype=np.bool_)
+        if first_share < 1.0:
+            self._take_turns(size)
+        return np.asarray(np.where(self.known, self._part * error, 0.0))
+
+    def _take_turns(self, size: Floats) -> None:
+        """Try one axis at a time: where two that are swapped move alike, probes see no difference.
+
+        It is the one under way while its error is larger than its band, else the one whose error
+        is largest over that.
+        """
+        tried = self.known & (self._part > 0.0) & ~is_right(self._evidence)
+        ratio = np.where(tried, size / self._half, -np.inf)
+        if self._turn is None or not ratio[self._turn] >= 1.0:
+            self._turn = int(np.argmax(ratio)) if tried.any() else None
+        if self._turn is not None:
+            tried[self._turn] = False
+        self._part[tried] = 0.0
+
+    def health(self) -> Iterator[Health]:
+        """Report the axes that are not followed, or only in part, and why."""
+        wrong, waiting, partly = [], [], []
+        for number, axis in enumerate(self._axes):
+            part, error, half = self._part[number], self._error[number], self._half[number]
+            if part == 0.0 and is_wrong(self._evidence)[number]:
+                wrong.append(axis)
+            elif part == 0.0:
+                partly.append(f'{axis} after that')
+            elif not self.known[number] and np.isfinite(error):
+                waiting.append(f'{axis} {1e6 * error:+.1f} ± {1e6 * half:.1f} um')
+            elif self.known[number] and part < 1.0:
+                partly.append(f'{axis} {100.0 * part:.0f} %')
+        if wrong:
+            text = (
+                f'{", ".join(wrong)} not followed: probes do not see the offset as it is. Sign, '
+                'unit or axis of the probe, of the read-back or of the bridge is wrong: mend it, '
+                'then begin to learn anew (fuzzycnc operate forget)'
+            )
+            yield Health('probes', Level.ERROR, text)
+        if waiting:
+            text = f'not followed, known too little: {", ".join(waiting)}; probe to know more'
+            yield Health('band', Level.OK, text)
+        if partly:
+            text = f'followed in part until a probe confirms it: {", ".join(partly)}'
+            yield Health('first activation', Level.OK, text)

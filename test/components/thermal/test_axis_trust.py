@@ -1,0 +1,164 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Compensator: axes that are known too little, and the first activation with a wrong probe."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from benches.component_bench import Bench, applied, machine_state, thermal_error
+from stepped_shift import Shift
+
+from fuzzycnc_ros.components.thermal.compensator import Compensator, CompensatorConfig
+from fuzzycnc_ros.core.thermal.confirmation import is_right, is_wrong
+from fuzzycnc_ros.runtime.records import Displacement, ThermalPosterior, nanoseconds
+
+MICRON = 1e-6
+
+
+def bench_of(**changes):
+    bench = Bench(Compensator(CompensatorConfig(slew_max=1e-3, **changes)))
+    bench.push('machine_state', machine_state(1.0))
+    bench.give('compensation_applied', applied(1.0))
+    bench.until(1.0)
+    assert bench.request('activate').success
+    return bench
+
+
+def follow(bench, time, error, deviation=1.0, other=0.0):
+    """Give an error of Y [um] with its deviation; return the offset of Y [um] that is told."""
+    bench.push('machine_state', machine_state(time))
+    values = {'standard_deviation': np.array([deviation, 1.0]) * MICRON}
+    bench.give('thermal_error', thermal_error(time, np.array([error, other]) * MICRON, **values))
+    return bench.records('compensation')[-1].offset[0] / MICRON
+
+
+def told(bench, evidence, time=0.0):
+    """Tell what probes under an offset of Y and Z have said."""
+    record = ThermalPosterior(
+        stamp=nanoseconds(time),
+        model_hash='',
+        reference_stamp=0,
+        interval=60.0,
+        input=('T1',),
+        axis=('Y', 'Z'),
+        channel=('Y', 'Z'),
+        probes=np.ones(2, np.uint64),
+        evidence=np.array(evidence),
+        memory=np.zeros(2),
+    )
+    bench.push('thermal_posterior', record)
+
+
+def test_an_axis_that_is_known_too_little_is_not_followed():
+    bench = bench_of(band_share=0.5)
+    assert follow(bench, 60.0, 10.0, deviation=4.0) == 0.0
+    assert 'OK band: not followed, known too little: Y +10.0 ± 8.0 um' in bench.health()
+    assert follow(bench, 120.0, 10.0, deviation=2.0) == pytest.approx(-10.0)
+    # It stays followed until the band is wider than the error.
+    assert follow(bench, 180.0, 10.0, deviation=4.0) == pytest.approx(-10.0)
+    assert follow(bench, 240.0, 10.0, deviation=5.1) == 0.0
+    assert follow(bench, 300.0, 10.0, deviation=4.0) == 0.0
+
+
+def test_a_part_is_followed_until_probes_confirm_it():
+    bench = bench_of(first_share=0.5)
+    assert follow(bench, 60.0, 20.0) == pytest.approx(-10.0)
+    assert 'OK first activation: followed in part until a probe confirms it: Y 50 %' in (
+        bench.health()
+    )
+    told(bench, [0.9, 0.0], 90.0)
+    assert follow(bench, 120.0, 20.0) == pytest.approx(-10.0)
+    told(bench, [1.0, 0.0], 150.0)
+    assert follow(bench, 180.0, 20.0) == pytest.approx(-20.0)
+    # What was confirmed belongs to the machine, not to this activation.
+    assert bench.request('deactivate').success
+    assert bench.request('activate').success
+    assert follow(bench, 240.0, 20.0) == pytest.approx(-20.0)
+
+
+def test_axes_are_tried_one_by_one():
+    bench = bench_of(first_share=0.5, band_share=0.5)
+    follow(bench, 60.0, 20.0, other=30.0)
+    assert bench.records('compensation')[-1].offset.tolist() == [0.0, -15.0 * MICRON]
+    assert 'Y after that' in bench.health()
+    told(bench, [0.0, 1.2], 90.0)
+    follow(bench, 120.0, 20.0, other=30.0)
+    np.testing.assert_allclose(
+        bench.records('compensation')[-1].offset, [-10.0 * MICRON, -30.0 * MICRON]
+    )
+
+
+def test_an_axis_that_probes_contradict_is_not_followed():
+    bench = bench_of(first_share=0.5)
+    follow(bench, 60.0, 20.0)
+    told(bench, [-3.0, 0.0], 90.0)
+    assert follow(bench, 120.0, 20.0) == 0.0
+    assert 'ERROR probes: Y not followed: probes do not see the offset as it is' in bench.health()
+    told(bench, [0.0, 0.0], 150.0)  # forgotten
+    assert follow(bench, 180.0, 20.0) == pytest.approx(-10.0)
+
+
+def test_without_the_parameter_nothing_is_held_back():
+    bench = bench_of()
+    told(bench, [-3.0, 0.0])
+    assert follow(bench, 60.0, 20.0) == pytest.approx(-20.0)
+
+
+def wrong(kind, record):
+    """Return a probe as it is told by a cycle that has had an error from its first day on."""
+    value = record.displacement
+    changed = {
+        'true': value,
+        'sign': -value,
+        'diameter for radius': 2.0 * value,
+        'inches': 25.4 * value,
+        'swapped axes': value[::-1].copy(),
+    }[kind]
+    return replace(record, displacement=changed)
+
+
+def learnt_shift(kind):
+    """Return the offsets of Y and Z [um] and the errors left by a machine learnt from nothing."""
+    left = []
+
+    def change(emission):
+        if not isinstance(emission.record, Displacement):
+            return emission
+        left.append(emission.record.displacement / MICRON)
+        return replace(emission, record=wrong(kind, emission.record))
+
+    shift = Shift(
+        '',
+        'T3',
+        change=change,
+        probe_interval=1800.0,
+        displacement_compensated=True,
+        compensator=CompensatorConfig(band_share=0.5, first_share=0.5),
+        learn=True,
+        learn_axes=('Y', 'Z'),
+    ).run()
+    return shift, np.array(shift.applied), np.array(left)
+
+
+def evidence_of(shift):
+    return shift.posteriors[-1].evidence
+
+
+def test_a_machine_learnt_from_nothing_is_compensated():
+    shift, offsets, left = learnt_shift('true')
+    assert np.abs(offsets).max() > 5.0
+    assert is_right(evidence_of(shift)).all()
+    later = np.abs(left[8:])
+    assert later.max() < 5.0
+
+
+@pytest.mark.parametrize('kind', ['sign', 'inches', 'swapped axes', 'diameter for radius'])
+def test_wrong_probes_from_the_first_one_on_do_not_feed_on_themselves(kind):
+    shift, offsets, _ = learnt_shift(kind)
+    assert not is_right(evidence_of(shift)).any()
+    # Wrong by a factor of 25 they are beyond all bounds, and nothing is followed at all.
+    assert is_wrong(evidence_of(shift)).any() or kind == 'inches'
+    # Half of what was learnt was told while it was tried, and nothing afterwards.
+    assert np.abs(offsets).max() < 30.0
+    assert not offsets[-1].any()
