@@ -22,6 +22,7 @@ from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from fuzzycnc_msgs.action import TrainThermalModel
+from fuzzycnc_msgs.srv import ForgetThermalPosterior
 from fuzzycnc_ros.bags.atomic import write_regular
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
@@ -131,6 +132,7 @@ class ThermalPredictorNode(ComponentNode):
             goal_callback=self._on_goal,
             cancel_callback=lambda goal: CancelResponse.ACCEPT,
         )
+        node.create_service(ForgetThermalPosterior, 'forget_thermal_posterior', self._on_forget)
         self._timer = wall_timer(node, POLL, self._poll)
         self._timer.cancel()  # it runs while there is a training
 
@@ -164,6 +166,14 @@ class ThermalPredictorNode(ComponentNode):
     def _settings(self) -> ThermalPredictorConfig:
         config = self.component.configuration
         return config
+
+    def _on_forget(
+        self, request: ForgetThermalPosterior.Request, response: ForgetThermalPosterior.Response
+    ) -> ForgetThermalPosterior.Response:
+        arguments = {'mode': request.mode, 'why': request.why, 'by': request.by}
+        answer = self.request('forget', arguments)
+        response.success, response.message = answer.success, answer.message
+        return response
 
     def _on_goal(self, request: TrainThermalModel.Goal) -> GoalResponse:
         if self._training is not None:

@@ -47,6 +47,7 @@ SERVICES = {
     'feedrate_scheduler': ('schedule_program',),
     'sensor_selector': ('select_sensors',),
     'temperature_acquisition': ('set_thermal_reference',),
+    'thermal_predictor': ('forget_thermal_posterior',),
 }
 ACTIONS = {
     'thermal_predictor': ('train_thermal_model',),

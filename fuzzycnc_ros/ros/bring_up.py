@@ -23,6 +23,12 @@ MOVERS = frozenset({'feedrate_scheduler', 'joint_trajectory_bridge'})
 """Nodes that publish `trajectory`; in lock-step a topic has one writer."""
 THERMAL = ('temperature_acquisition', 'sensor_selector', 'thermal_predictor', 'compensator')
 """Nodes of thermal compensation."""
+LEARNING: Mapping[str, dict[str, Any]] = {
+    'thermal_predictor': {'learn': True},
+    'compensator': {'band_share': 0.5, 'first_share': 0.5},
+    MACHINE: {'displacement_interval': 3600.0, 'displacement_compensated': True},
+}
+"""Parameters where the error is learnt from probes; a simulated machine is probed hourly."""
 TOOLS = ('recorder', 'player', 'mqtt_publisher', 'mtconnect_adapter', 'opcua_server')
 """Nodes of a machine without a component."""
 PAGE = 'dashboard'
@@ -59,6 +65,7 @@ def node_specs(
     duties: tuple[str, ...] = (),
     model: Path | None = None,
     force_model: bool = False,
+    learn: bool = False,
     record: Path | None = None,
     lockstep: bool = False,
     autostart: bool = False,
@@ -79,6 +86,8 @@ def node_specs(
         Model file of the predictor.
     force_model : bool
         Whether the predictor uses a model that is worse than none on some channel.
+    learn : bool
+        Whether the predictor learns from probes, and an axis is followed where it is known.
     record : Path, optional
         Bag to record; none if left out.
     lockstep : bool
@@ -133,6 +142,8 @@ def node_specs(
             parameters['model'] = str(model)
         if name == 'thermal_predictor' and force_model:
             parameters['force'] = True
+        if learn:
+            parameters |= LEARNING.get(name, {})
         specs.append(NodeSpec(name, parameters))
     served = [spec.name for spec in specs]
     if record is not None:
@@ -145,6 +156,7 @@ def node_specs(
         specs.append(NodeSpec(BODY, {'nodes': [spec.name for spec in specs]}))
     if simulated:
         machine = {
+            **(LEARNING[MACHINE] if learn else {}),
             'lockstep': lockstep,
             'lockstep_nodes': served,
             'lockstep_recorder': record is not None,

@@ -16,6 +16,14 @@ class Status(IntEnum):
     DRIFT = 5
 
 
+class ForgetMode(IntEnum):
+    """What is forgotten of the thermal error, `ForgetThermalPosterior.MODE_*`."""
+
+    WIDEN = 0
+    UNDO = 1
+    ALL = 2
+
+
 class SpeedStatus(IntEnum):
     """Verdict on a reading of the spindle speed, `SpindleSpeed.STATUS_*`."""
 

@@ -211,6 +211,22 @@ def test_a_node_that_refuses_is_quoted(graph, observer, command, tmp_path):
     assert f'mill/thermal_predictor: model: {model}: model file: expected JSON' in err
 
 
+def test_what_was_learnt_is_forgotten_for_a_reason(graph, observer, command):
+    graph.start('thermal_predictor', {'learn': True})
+    observer.until(
+        lambda: observer.node.count_subscribers('/mill/temperatures'), 'the predictor is there'
+    )
+    code, _, err = command('forget', '--why', 'new spindle')
+    assert code == 2
+    assert 'forget: no model' in err
+    code, _, err = command('forget', '--why', 'x', '--all', '--undo')
+    assert code == 2
+    assert 'expected --undo or --all, but found both' in err
+    code, _, err = command('forget', '--why', ' ')
+    assert code == 2
+    assert '--why: expected a reason but found none' in err
+
+
 def test_a_reference_and_a_phase_are_asked_for_and_written_down(
     graph, observer, command, tmp_path
 ):

@@ -236,9 +236,10 @@ def probe(
     """Publish a displacement that was measured just now, with an indicator or a touch probe.
 
     A displacement is the actual minus the nominal position of the tool relative to the workpiece,
-    counted from the thermal reference. The message says whether compensation was in force. A
-    calibration run can be recorded this way, and the predictor corrects itself by it if its
-    parameter `probing` is set.
+    counted from the thermal reference, in machine coordinates: a probing cycle that sets a work
+    offset or a tool length takes the error off by itself, and it would be taken off twice. The
+    message says whether compensation was in force. A calibration run can be recorded this way,
+    and the predictor learns from it if its parameter `learn` is set.
 
         fuzzycnc operate probe Y=-3um Z=12um --deviation 1um
     """
@@ -266,6 +267,42 @@ def probe(
         f'sent to {readers} node{"s" if readers > 1 else ""} of /{machine}, '
         f'{"with" if includes else "without"} compensation in force'
     )
+
+
+def forget(
+    why: Annotated[
+        str, typer.Option(help='The reason, kept in the recording, such as "new spindle".')
+    ],
+    undo: Annotated[
+        bool, typer.Option('--undo', help='Go back to what was known before the last probe.')
+    ] = False,
+    everything: Annotated[
+        bool,
+        typer.Option('--all', help='Begin from nothing, as on the first day.'),
+    ] = False,
+    by: Person = 'operator',
+    machine: MachineName = 'mill',
+) -> None:
+    """Let the predictor know less than probes have taught it.
+
+    Nothing sees that a machine was crashed or has got another spindle: say so. What was learnt
+    then counts for less, and the band is wide until probes have taught it anew. Offsets never
+    step.
+
+        fuzzycnc operate forget --why "new spindle bearing"
+        fuzzycnc operate forget --why "chip under the probe" --undo
+        fuzzycnc operate forget --why "probe had the wrong sign" --all
+    """
+    from fuzzycnc_ros.runtime.enums import ForgetMode
+
+    if undo and everything:
+        raise ValueError('expected --undo or --all, but found both')
+    if not why.strip():
+        raise ValueError('--why: expected a reason but found none')
+    mode = ForgetMode.UNDO if undo else ForgetMode.ALL if everything else ForgetMode.WIDEN
+    with _operator(machine, 'thermal_predictor', managed=False) as operator:
+        said = operator.forget(mode, why=visible(why), by=visible(by))
+    say(f'{machine}: {said}')
 
 
 def mark(
@@ -417,6 +454,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     'deactivate': deactivate,
     'set': set_values,
     'reference': reference,
+    'forget': forget,
     'probe': probe,
     'mark': mark,
 }

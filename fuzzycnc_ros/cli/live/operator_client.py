@@ -16,7 +16,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
 from fuzzycnc_msgs.action import TrainThermalModel
-from fuzzycnc_msgs.srv import SelectSensors, SetThermalReference
+from fuzzycnc_msgs.srv import ForgetThermalPosterior, SelectSensors, SetThermalReference
 from fuzzycnc_ros.ros.lifecycle import REACHED
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.processes import prepare_environment
@@ -212,6 +212,20 @@ class Operator:
         answer = self._call(SetThermalReference, 'set_thermal_reference', request, twice=True)
         if not answer.success:
             raise GraphError(f'set_thermal_reference: {answer.message}')
+        return str(answer.message)
+
+    def forget(self, mode: int, *, why: str, by: str) -> str:
+        """Know less of the thermal error than probes have taught; return what is known now.
+
+        Raises
+        ------
+        GraphError
+            If it is refused.
+        """
+        request = ForgetThermalPosterior.Request(mode=mode, why=why, by=by)
+        answer = self._call(ForgetThermalPosterior, 'forget_thermal_posterior', request)
+        if not answer.success:
+            raise GraphError(f'forget: {answer.message}')
         return str(answer.message)
 
     def select_sensors(self, bags: Sequence[Path], clusters: int = 0) -> str:

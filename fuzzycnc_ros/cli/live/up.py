@@ -72,6 +72,15 @@ def up(
             'without this such a model is refused.',
         ),
     ] = False,
+    learn: Annotated[
+        bool,
+        typer.Option(
+            '--learn',
+            help='Learn from probes: what the model leaves, or all of it without a model. An '
+            'axis is followed once it is known well enough, at first in part, until a probe '
+            'confirms it.',
+        ),
+    ] = False,
     record: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option(
@@ -161,6 +170,10 @@ def up(
 
         fuzzycnc up --machine mill_1 --model mill_1.json --params /etc/fuzzycnc
 
+    A machine without a model, which learns from its probes (`fuzzycnc operate probe`):
+
+        fuzzycnc up --machine mill_1 --learn --params /etc/fuzzycnc --autostart
+
     The same with a page for the browser of this computer, at the port given or 8642:
 
         fuzzycnc up --machine mill_1 --model mill_1.json --page
@@ -218,6 +231,7 @@ def up(
                 duties=duties,
                 model=model,
                 force_model=force_model,
+                learn=learn,
                 record=bag,
                 lockstep=lockstep,
                 autostart=autostart,

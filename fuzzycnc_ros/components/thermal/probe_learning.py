@@ -6,6 +6,7 @@ Published error = prediction of the model + learnt rest.  What a probe changes c
 within `correction_time` and never steps.
 """
 
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -19,11 +20,16 @@ from fuzzycnc_ros.core.thermal.confirmation import is_right, is_wrong, judged
 from fuzzycnc_ros.core.thermal.learning import Basis, Learner, Verdict
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.runtime.component import Health, Level
+from fuzzycnc_ros.runtime.enums import ForgetMode
 from fuzzycnc_ros.runtime.records import SECOND, Bools, Floats, Stamp, ThermalPosterior
 
 MISSED_MAX = 3.0
 """Root mean square of what probes missed, over the deviation expected [-], that is said aloud:
 the machine is not what the probes before have taught."""
+
+
+KEPT = 24
+"""Probes before which can be gone back."""
 
 
 class Owner(NamedTuple):
@@ -32,6 +38,14 @@ class Owner(NamedTuple):
     model_hash: str
     reference_stamp: Stamp
     frame_id: str
+
+
+class _Known(NamedTuple):
+    """All that was learnt at some time: memory, probes and evidence."""
+
+    memory: Floats
+    probes: NDArray[np.int64]
+    evidence: Floats
 
 
 class ProbeLearning:
@@ -52,6 +66,8 @@ class ProbeLearning:
             if config.learn
             else None
         )
+        if self._learner is not None:
+            self._fresh = self._learner.memory
         channels = len(model.channel)
         self._jump = Fade(np.zeros(channels))
         """Error published minus error known: what the last probes changed, on its way to zero."""
@@ -67,6 +83,7 @@ class ProbeLearning:
         self._deviation = np.full(channels, np.nan)
         self.doubted: NDArray[np.int64] = np.zeros(channels, dtype=np.int64)
         """Number of probes of each channel that were not believed, shape (c,)."""
+        self._before: deque[_Known] = deque(maxlen=KEPT)
         self.news = False
         """Whether something was learnt that has not been told yet."""
 
@@ -158,16 +175,14 @@ class ProbeLearning:
             why = 'nothing was predicted' if expected is None else 'its channels are not predicted'
             self._doubt = f'probe at {probe.stamp / SECOND:.3f} s is not used: {why}'
             return
+        self._before.append(self._known())
         before, deviation = self._learner.predict()
         measured = self._trusted(measured, measured - expected - before, noise, deviation, offset)
         verdicts = self._learner.probe(measured - expected, noise, (stamp - probe.stamp) / SECOND)
-        after, _ = self._learner.predict()
-        self._jump = Fade(self._jump.value + before - after)
-        self._jump.to(np.zeros(len(after)), self._config.correction_time)
+        self._come_into_force(before)
         self._probes += verdicts == Verdict.ACCEPTED
         self.doubted += verdicts == Verdict.REJECTED
         self._learnt_at = self._probed_at = stamp
-        self.news = True
         doubted = [
             f'{name} by {1e6 * value:+.1f} um'
             for name, value, verdict in zip(
@@ -181,6 +196,50 @@ class ProbeLearning:
             if doubted
             else ''
         )
+
+    def forget(self, mode: ForgetMode) -> str:
+        """Know less than the probes have taught; return what was done, in words.
+
+        Raises
+        ------
+        ValueError
+            If nothing was learnt, or there is no probe to go back before.
+        """
+        if self._learner is None:
+            raise ValueError('nothing is learnt; set the parameter learn')
+        before, _ = self._learner.predict()
+        if mode is ForgetMode.UNDO:
+            if not self._before:
+                raise ValueError(
+                    f'no probe to go back before: {KEPT} are kept, none over a restart; know '
+                    'less instead, or begin from nothing'
+                )
+            known = self._before.pop()
+            self._learner.memory, self._probes, self.evidence = known
+            text = 'back to what was known before the last probe'
+        elif mode is ForgetMode.ALL:
+            self._learner.memory = self._fresh
+            self._probes, self.evidence = np.zeros_like(self._probes), self.evidence * 0.0
+            self._before.clear()
+            text = 'begun from nothing'
+        else:
+            self._learner.forget()
+            text = 'known less, until probes have taught it anew'
+        self._doubt = ''
+        self._come_into_force(before)
+        return text
+
+    def _known(self) -> '_Known':
+        assert self._learner is not None
+        return _Known(self._learner.memory, self._probes.copy(), self.evidence.copy())
+
+    def _come_into_force(self, before: Floats) -> None:
+        """Let what is known now come into force slowly, where `before` was published [m]."""
+        assert self._learner is not None
+        after, _ = self._learner.predict()
+        self._jump = Fade(self._jump.value + before - after)
+        self._jump.to(np.zeros(len(after)), self._config.correction_time)
+        self.news = True
 
     def _trusted(
         self, measured: Floats, missed: Floats, noise: Floats, deviation: Floats, offset: Floats

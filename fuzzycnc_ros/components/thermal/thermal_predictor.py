@@ -34,7 +34,7 @@ from fuzzycnc_ros.runtime.component import (
     Level,
     Output,
 )
-from fuzzycnc_ros.runtime.enums import Reason
+from fuzzycnc_ros.runtime.enums import ForgetMode, Reason
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     CompensationApplied,
@@ -320,13 +320,30 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
         return self._swap.add(history)
 
     def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
-        """`use_model`: go on with another model, from the history that is still at hand."""
+        """Go on with another model by `use_model`, know less by `forget`."""
+        if name == 'forget':
+            return self._forget(arguments, stamp)
         if name != 'use_model':
             return super().on_request(name, arguments, stamp)
         try:
             return Answer(True, self.use_model(str(arguments['model'])))
         except ValueError as error:
             return Answer(False, str(error))
+
+    def _forget(self, arguments: Mapping[str, Any], stamp: int) -> Answer:
+        history = self._swap.in_use
+        try:
+            if history is None:
+                raise ValueError(NO_MODEL)
+            text = history.learning.forget(ForgetMode(arguments['mode']))
+        except ValueError as error:
+            return Answer(False, str(error))
+        newest = self._stream.newest
+        learnt = history.learnt(newest.sample.stamp if newest else stamp, self.frame('machine'))
+        if learnt is None:
+            return Answer(True, text)
+        self._stream.memory = learnt
+        return Answer(True, text, (Emission('thermal_posterior', learnt),))
 
     def renewed(self, step: int) -> 'tuple[ThermalPredictor, list[Emission]]':
         """Begin with the same model; the history goes on once the same reference comes anew."""

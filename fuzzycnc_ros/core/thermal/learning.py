@@ -400,7 +400,7 @@ class Posterior:
             self._believe(probe)
             return Verdict.ACCEPTED
         if doubted is not None and self._agree(doubted, probe):
-            self._forget()
+            self.forget()
             for item in (doubted, probe):
                 self._believe(item)
             return Verdict.ACCEPTED
@@ -472,8 +472,8 @@ class Posterior:
         variance += one.noise * one.noise + other.noise * other.noise
         return apart * apart <= GATE * GATE * variance
 
-    def _forget(self) -> None:
-        """Know the weights less by all that may be known beforehand, and no probes."""
+    def forget(self) -> None:
+        """Know the weights less, by all that may be known beforehand, and no probes."""
         weights = self._covariance[:-1, :-1] + np.diag(self._prior(self.scales))
         self._base = (self._run, self._mean[:-1].copy(), weights)
         self._probes = []
@@ -674,6 +674,11 @@ class Learner:
         self.basis = basis
         self.posteriors = tuple(Posterior(basis) for _ in range(channels))
         self.rest()
+
+    def forget(self) -> None:
+        """Know the weights less, by all that may be known beforehand: the machine has changed."""
+        for posterior in self.posteriors:
+            posterior.forget()
 
     def begin_run(self) -> None:
         """Begin another run at its thermal reference."""

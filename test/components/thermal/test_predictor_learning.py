@@ -25,7 +25,7 @@ from benches.predictor_bench import (
 
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
-from fuzzycnc_ros.runtime.enums import Reason
+from fuzzycnc_ros.runtime.enums import ForgetMode, Reason
 from fuzzycnc_ros.runtime.records import nanoseconds
 
 QUICK = {'correction_time': 60.0}
@@ -364,3 +364,61 @@ def test_the_axes_that_are_learnt_can_be_chosen():
     run = recordings()['T3']
     _, errors = from_nothing(run, range(12), learn_axes=['Z'])
     assert errors[-1].axis == ('Z',)
+
+
+def learnt_bench(rows=range(30, 91, 30)):
+    """Return a predictor that has learnt T3 from some probes, and the run."""
+    run = recordings()['T3']
+    bench = bench_with_model(learn=True, correction_time=600.0)
+    predict(bench, run, range(100), probes=[probe_of(run, row) for row in rows])
+    return bench, run
+
+
+def test_going_back_before_a_probe_is_as_if_it_had_never_been():
+    bench, run = learnt_bench()
+    spared, _ = learnt_bench(range(30, 61, 30))
+    answer = bench.request('forget', mode=ForgetMode.UNDO, why='chip', by='anna')
+    assert (answer.success, answer.message) == (
+        True,
+        'back to what was known before the last probe',
+    )
+    before = bench.records('thermal_error')[-1].error
+    found, wanted = (predict(item, run, range(100, 130)) for item in (bench, spared))
+    np.testing.assert_allclose(found[-1].error, wanted[-1].error, atol=1e-12)
+    np.testing.assert_array_equal(
+        bench.records('thermal_posterior')[-1].probes,
+        spared.records('thermal_posterior')[-1].probes,
+    )
+    # It comes into force slowly.
+    steps = np.abs(np.diff([before, *[item.error for item in found]], axis=0)).max()
+    usual = np.abs(np.diff([item.error for item in wanted], axis=0)).max()
+    assert steps <= usual + 1.0 * MICRON
+
+
+def test_a_changed_machine_is_known_less_and_learnt_faster():
+    bench, run = learnt_bench()
+    band = bench.records('thermal_error')[-1].standard_deviation
+    assert bench.request('forget', mode=ForgetMode.WIDEN, why='new spindle', by='anna').success
+    wider = predict(bench, run, range(100, 102))[-1].standard_deviation
+    assert (wider > 2.0 * band).all()
+    assert bench.records('thermal_posterior')[-1].probes.tolist() == [3, 3]
+
+
+def test_all_can_be_forgotten_and_a_restart_knows_it():
+    bench, run = learnt_bench()
+    assert bench.request('forget', mode=ForgetMode.ALL, why='wrong sign', by='anna').success
+    assert bench.records('thermal_posterior')[-1].probes.tolist() == [0, 0]
+    found = errors_of(predict(bench, run, range(100, 130)))
+    np.testing.assert_allclose(found[-1], unprobed()[129], atol=1e-9)
+    again = restarted(bench, run)
+    errors = errors_of(predict(again, run, range(130, 140)))
+    np.testing.assert_allclose(errors[-1], unprobed()[139], atol=1e-9)
+
+
+def test_nothing_to_forget_is_refused():
+    plain = bench_with_model()
+    assert not plain.request('forget', mode=ForgetMode.ALL, why='x', by='anna').success
+    bench, _ = learnt_bench(())
+    answer = bench.request('forget', mode=ForgetMode.UNDO, why='x', by='anna')
+    assert not answer.success
+    assert 'no probe to go back before' in answer.message
