@@ -214,7 +214,6 @@ def rows(series: str, begin: float, end: float, points: int, newest: float) -> d
             columns[f'{name} band'] = column([2e-6] * count)
             columns[f'{name} probed'] = column(probed)
             columns[f'{name} residual'] = column([None if v is None else 4e-7 for v in probed])
-            columns[f'{name} cusum'] = column([0.002 * at for at in range(count)])
         if series == 'axes':
             columns[f'{name} position'] = column([0.1 * math.sin(9 * hour) for hour in hours])
             columns[f'{name} following'] = column(wave)

@@ -82,10 +82,7 @@ function error(stretch) {
     line(stretch, `${name} ${word}`, {...look, colour: COLOURS[place % COLOURS.length]})));
   return [...charts,
     {title: 'Residual: probed minus predicted', unit: 'µm', note: 'One point a probe.',
-      lines: all('residual', {factor: MICRO, points: true, span: true})},
-    {title: 'Drift of the model (CUSUM)', unit: '', digits: 2, note: 'Sum of the residuals beyond chance; '
-      + 'the predictor asks for training anew where it is too large.',
-    lines: all('cusum', {width: 2, span: true})}];
+      lines: all('residual', {factor: MICRO, points: true, span: true})}];
 }
 
 function offsets(stretch) {
@@ -127,7 +124,7 @@ const INCREMENTS = {
       values[`${axis} band`] = band;
       if (probe?.age === 0) values[`${axis} probed`] = probe.measured;
     }
-    // A probe brings residual and CUSUM too, and channels need not be called as axes are.
+    // A probe brings a residual too, and channels need not be called as axes are.
     const told = owners(stretch, 'predicted').every((name) => `${name} predicted` in values);
     return {values, whole: told && view.axes.every(({probe}) => !probe || probe.age > AGAIN)};
   },

@@ -11,7 +11,12 @@ from stepped_shift import Shift
 
 from fuzzycnc_ros.components.thermal.compensator import Compensator, CompensatorConfig
 from fuzzycnc_ros.core.thermal.confirmation import is_right, is_wrong
-from fuzzycnc_ros.runtime.records import Displacement, ThermalPosterior, nanoseconds
+from fuzzycnc_ros.runtime.records import (
+    CompensationApplied,
+    Displacement,
+    ThermalPosterior,
+    nanoseconds,
+)
 
 MICRON = 1e-6
 
@@ -109,20 +114,30 @@ def wrong(kind, record):
     """Return a probe as it is told by a cycle that has had an error from its first day on."""
     value = record.displacement
     changed = {
-        'true': value,
         'sign': -value,
         'diameter for radius': 2.0 * value,
         'inches': 25.4 * value,
         'swapped axes': value[::-1].copy(),
-    }[kind]
+    }.get(kind, value)
     return replace(record, displacement=changed)
+
+
+def read_back(kind, record, told):
+    """Return a read-back as it is told by a bridge with a fault."""
+    told.append(record)
+    if kind == 'ten minutes late':
+        return replace(told[-min(len(told), 10)], stamp=record.stamp)
+    factor = {'wrong sign': -1.0, 'doubled': 2.0, 'none in force': 0.0}.get(kind, 1.0)
+    return replace(record, offset=factor * record.offset)
 
 
 def learnt_shift(kind):
     """Return the offsets of Y and Z [um] and the errors left by a machine learnt from nothing."""
-    left = []
+    left, told = [], []
 
     def change(emission):
+        if isinstance(emission.record, CompensationApplied):
+            return replace(emission, record=read_back(kind, emission.record, told))
         if not isinstance(emission.record, Displacement):
             return emission
         left.append(emission.record.displacement / MICRON)
@@ -162,3 +177,15 @@ def test_wrong_probes_from_the_first_one_on_do_not_feed_on_themselves(kind):
     # Half of what was learnt was told while it was tried, and nothing afterwards.
     assert np.abs(offsets).max() < 30.0
     assert not offsets[-1].any()
+
+
+@pytest.mark.parametrize('kind', ['wrong sign', 'doubled', 'none in force', 'ten minutes late'])
+def test_a_false_read_back_does_not_feed_on_itself(kind):
+    shift, _, left = learnt_shift(kind)
+    told = np.array([item.offset for item in shift.compensation]) / MICRON
+    bare = learnt_shift('true')[2]
+    assert np.abs(told).max() < 32.0
+    if kind != 'ten minutes late':
+        assert not is_right(evidence_of(shift)).any()
+    # At no time is more left than the machine does without any offset.
+    assert np.abs(left).max() < 1.2 * np.abs(bare).max() + 10.0
