@@ -30,6 +30,7 @@ from fuzzycnc_ros.core.thermal.candidate import (
 from fuzzycnc_ros.core.thermal.cold_start import ColdStart
 from fuzzycnc_ros.core.thermal.domain import Domain
 from fuzzycnc_ros.core.thermal.fingerprint import Fingerprint
+from fuzzycnc_ros.core.thermal.prior import LearningPrior
 from fuzzycnc_ros.core.thermal.recursions.base import (
     BOUND_MAX,
     BOUND_MIN,
@@ -103,6 +104,9 @@ class ThermalModel:
         How the inputs differ before the machine is used; files of earlier versions have none.
     fingerprints : tuple of Fingerprint
         What it was trained on, to recognise it; files of earlier versions have none.
+    prior : LearningPrior, optional
+        What learning from probes begins with; files of earlier versions have none, nor have
+        models of very many inputs.
     """
 
     inputs: tuple[str, ...]
@@ -122,6 +126,7 @@ class ThermalModel:
     watch: SensorWatchModel | None = None
     cold_start: ColdStart | None = None
     fingerprints: tuple[Fingerprint, ...] = ()
+    prior: LearningPrior | None = None
     _default_recursion: Recursion = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -431,7 +436,10 @@ class ThermalModel:
                 omitted[name] = str(error)
             else:
                 candidates[name] = replace(item, recursion=recursion)
-        return replace(self, interval=interval, candidates=candidates, omitted=omitted)
+        prior = None if self.prior is None else self.prior.with_interval(interval)
+        return replace(
+            self, interval=interval, candidates=candidates, omitted=omitted, prior=prior
+        )
 
 
 def _check_parts(model: 'ThermalModel') -> None:
@@ -475,6 +483,10 @@ def _check_parts(model: 'ThermalModel') -> None:
     if model.cold_start is not None and model.cold_start.pattern.shape != (inputs,):
         raise ValueError(
             f'cold_start: expected {inputs} inputs, but found {model.cold_start.pattern.shape}'
+        )
+    if model.prior is not None and len(model.prior.known) != channels:
+        raise ValueError(
+            f'prior: expected one of each channel ({channels}), but found {len(model.prior.known)}'
         )
     if model.domain.mean.shape != (inputs,):
         raise ValueError(f'domain: expected {inputs} inputs, but found {model.domain.mean.shape}')
@@ -637,6 +649,8 @@ def _write_document(model: 'ThermalModel') -> str:
         'fingerprints': [item.document() for item in model.fingerprints],
         'watch': None if model.watch is None else model.watch.document(),
     }
+    if model.prior is not None:  # else a file of an earlier version keeps its text
+        document['prior'] = model.prior.document()
     return json.dumps(document, allow_nan=False) + '\n'
 
 
@@ -756,7 +770,15 @@ def _fields(root: Node) -> dict[str, Any]:
         fingerprints=()
         if version < 3
         else tuple(Fingerprint.read(node) for node in root.get('fingerprints').list()),
+        prior=_read_prior(root, len(inputs)),
     )
+
+
+def _read_prior(root: Node, inputs: int) -> LearningPrior | None:
+    """Return the prior of a document, which files of earlier versions do not have."""
+    if (node := root.items().get('prior')) is None:
+        return None
+    return LearningPrior.read(node, inputs, root.get('interval').number(INTERVAL_MIN))
 
 
 def _read_domain(node: Node, inputs: int, first: bool) -> Domain:

@@ -22,10 +22,12 @@ from fuzzycnc_ros.core.thermal.learning import (
     RISE_LAGS,
     SPINDLE_LAGS,
     TRUST,
+    UNSEEN,
     WINDOW,
     Basis,
     Learner,
     Posterior,
+    Probe,
     Scales,
     Verdict,
 )
@@ -258,6 +260,45 @@ def test_covariance_stays_symmetric_and_positive(steps):
     scale = np.sqrt(np.append(known._prior(known.scales), known.scales.drift**2))
     assert np.linalg.eigvalsh(whole / np.outer(scale, scale)).min() > -1e-9
     assert all(np.isfinite(known.predict(random.normal(size=16), now)))
+
+
+def test_runs_that_are_studied_teach_as_the_gaussian_process_says(monkeypatch):
+    probes = machine(8, 3, 5)
+    places, errors = [probe[:3] for probe in probes], np.array([probe[3] for probe in probes])
+    monkeypatch.setattr(Posterior, '_likeliest', lambda self, evidence: (SCALES, 0.0))
+    seen = [Probe(run, time, features, error, 1e-6) for run, time, features, error in probes]
+    studied = Posterior.studied(BASIS, seen, EXPECTED)
+    assert studied.scales == SCALES._replace(drift=UNSEEN * SCALES.drift)
+    # What the next run is expected to have, one feature at a time and without its drift.
+    scale = np.sqrt(prior())
+    whole = covariance(places, places) + 1e-12 * np.eye(len(places))
+    across = covariance([(3, 0.0, row) for row in np.eye(16)], places)
+    gain = np.linalg.solve(whole, across.T).T
+    np.testing.assert_allclose(studied.mean / scale, gain @ errors / scale, atol=1e-6)
+    expected = np.diag(scale**2) - gain @ across.T
+    unit = np.outer(scale, scale)
+    np.testing.assert_allclose(studied.covariance / unit, expected / unit, atol=1e-6)
+
+
+def test_a_posterior_begins_with_knowledge_and_keeps_near_its_scales():
+    probes = machine(9, 4, 6)
+    seen = [Probe(run, time, features, error, 1e-6) for run, time, features, error in probes]
+    studied = Posterior.studied(BASIS, seen[:18], EXPECTED)
+    known = Posterior.of(BASIS, studied)
+    features = probes[18][2]
+    variance = features @ studied.covariance @ features + studied.scales.drift**2
+    expected, deviation = known.predict(features)
+    assert expected == pytest.approx(features @ studied.mean)
+    assert deviation == pytest.approx(np.sqrt(variance))
+    # Probes that say nothing of the scales leave them where runs before have put them.
+    known.update(np.zeros(16), 0.0, 1e-3)
+    known.tune()
+    assert known.scales == studied.scales
+    # What is learnt beyond it is of the run; the next one begins with less of it.
+    known.update(features, probes[18][3], 1e-6)
+    within = known.predict(features)[1]
+    known.begin_run()
+    assert within < known.predict(features)[1] < 2.0 * deviation
 
 
 def test_features_are_rises_speeds_and_their_lags():

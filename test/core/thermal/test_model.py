@@ -3,6 +3,7 @@
 import copy
 import hashlib
 import json
+from base64 import b64encode
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,14 @@ from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.core.thermal.model import ModelMismatchError, ThermalModel, load_model
 from fuzzycnc_ros.core.thermal.run import ThermalRun
 from fuzzycnc_ros.papers.thermal import ALL_CONTENDERS
+
+
+def in_base64(covariance):
+    return b64encode(covariance[np.tril_indices(len(covariance))].tobytes()).decode()
+
+
+NOT_POSITIVE = in_base64(np.eye(12) + np.eye(12, k=1) + np.eye(12, k=-1))
+NOT_A_NUMBER = in_base64(np.full((12, 12), np.nan))
 
 
 def machine_run(name, seed, samples=200):
@@ -164,6 +173,8 @@ def test_conversion_to_another_interval(model):
             slow.predict(constant, name)[-1], model.predict(constant, name)[-1], rtol=1e-3
         )
     assert 'holds for one interval' in slow.omitted['hybrid_network']
+    assert slow.prior.basis.interval == 300.0
+    assert slow.prior.known is model.prior.known
     with pytest.raises(ValueError, match='interval'):
         model.with_interval(0.0)
 
@@ -212,6 +223,18 @@ def changed(document, *path, value):
         (('band_growth',), -1.0, 'a number from 0 to 100'),
         (('cold_start', 'tolerance'), [0.0, 1.0, 1.0], 'tolerance: expected numbers from 1e-09'),
         (('fingerprints', 0, 'complete'), 1, 'true or false'),
+        (('prior', 'channels'), [], r'prior: expected one of each channel \(2\), but found 0'),
+        (('prior', 'channels', 0, 'mean'), [0.0], 'mean: expected 12 numbers'),
+        (('prior', 'channels', 0, 'covariance'), 'AAAA', 'expected 78 numbers in base64'),
+        (('prior', 'channels', 0, 'covariance'), '?', 'covariance: expected numbers in base64'),
+        (('prior', 'channels', 0, 'covariance'), NOT_POSITIVE, 'a positive definite matrix'),
+        (('prior', 'channels', 0, 'covariance'), NOT_A_NUMBER, 'a positive definite matrix'),
+        (('prior', 'channels', 0, 'scales', 'drift'), 0.0, 'drift: expected a number from 1e-09'),
+        (('prior', 'channels', 0, 'fastest'), 0.0, 'fastest: expected a number from 200'),
+        (('prior', 'lags'), [0.0], 'lags'),
+        (('prior', 'lags'), [60.0] * 200, 'prior: sensors: expected'),
+        (('prior', 'share'), 2.0, 'share: expected a number from 0 to 1'),
+        (('prior', 'speed'), 0, 'speed: expected true or false'),
     ],
 )
 def test_damaged_files_are_refused(document, path, value, message):
@@ -220,10 +243,18 @@ def test_damaged_files_are_refused(document, path, value, message):
 
 
 def test_no_field_may_be_missing(document):
-    for key in document:
+    for key in document.keys() - {'prior'}:
         short = {name: value for name, value in document.items() if name != key}
         with pytest.raises(ModelFileError, match=f"an object with '{key}'"):
             load_model(json.dumps(short))
+
+
+def test_a_file_of_before_there_were_priors_keeps_its_hash(document):
+    text = json.dumps({name: value for name, value in document.items() if name != 'prior'}) + '\n'
+    model = load_model(text)
+    assert model.prior is None
+    assert model.hash == text_hash(text)
+    assert model.with_interval(300.0).prior is None
 
 
 @pytest.mark.parametrize(

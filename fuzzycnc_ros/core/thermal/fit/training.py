@@ -28,6 +28,7 @@ from fuzzycnc_ros.core.thermal.fit.candidates import (
     unseen_residual,
 )
 from fuzzycnc_ros.core.thermal.fit.folds import independent_folds, training_folds
+from fuzzycnc_ros.core.thermal.fit.learning_prior import learning_prior
 from fuzzycnc_ros.core.thermal.fit.refinement import Progress
 from fuzzycnc_ros.core.thermal.fit.selection import (
     all_sensors,
@@ -191,6 +192,7 @@ def train_model(
         watch=learn_watch(even, selection, data.interval),
         cold_start=ColdStart.of(even, selection.chosen),
         fingerprints=fingerprints,
+        prior=learning_prior(even, selection.chosen, bool(drivers)),
     )
 
 
