@@ -202,10 +202,6 @@ grinder."""
 BREADTH_KNOWN = Scales(*(0.5 * breadth for breadth in BREADTH))
 """The same where runs before have told the scales."""
 
-UNSEEN = 3.0
-"""Drift of a run that was not studied, over that of those that were [-]: their weights fit part
-of it.  With it the bands of the simulated mill and grinder hold 95 %."""
-
 
 class Probe(NamedTuple):
     """A measured error and what the machine felt then.
@@ -309,7 +305,9 @@ class Posterior:
         return found
 
     @staticmethod
-    def studied(basis: Basis, probes: Sequence[Probe], expected: Scales) -> Knowledge:
+    def studied(
+        basis: Basis, probes: Sequence[Probe], expected: Scales, *, tuned: bool = True
+    ) -> Knowledge:
         """Return what probes of earlier runs teach for the next one, of all of them at once.
 
         Parameters
@@ -320,17 +318,19 @@ class Posterior:
             Probes in their order, at least one; none is doubted.
         expected : Scales
             Medians of the scales.
+        tuned : bool
+            Whether the scales are learnt; else they are as expected.
         """
         found = Posterior(basis, expected)
         found._expected, found._probes = expected, list(probes)
         found._fastest = max([SPEED_UNIT, *(found._speed_of(probe.features) for probe in probes)])
         found._run, found._time = probes[-1].run, probes[-1].time
-        found.scales, _ = found._likeliest(found._evidence(found._probes))
+        if tuned:
+            found.scales, _ = found._likeliest(found._evidence(found._probes))
         found._rebuild()
         found.begin_run()
-        scales = found.scales._replace(drift=UNSEEN * found.scales.drift)
         weights = found._covariance[:-1, :-1].copy()
-        return Knowledge(scales, found._fastest, found._mean[:-1].copy(), weights)
+        return Knowledge(found.scales, found._fastest, found._mean[:-1].copy(), weights)
 
     @property
     def missed(self) -> float:

@@ -21,7 +21,8 @@ from fuzzycnc_ros.core.thermal.learning import (
 )
 
 MODEL_SHARE = 1.0 / 3.0
-"""Share of the trained model's prediction in the mean of an error [-].
+"""Share of the trained model's prediction in the mean of an error [-], unless the model alone is
+better beyond chance.
 
 Model and weights miss in different ways, and their average beats either: on the simulated mill and
 grinder, probed or not, a fifth to two fifths of the model do alike, none and all of it worse."""
@@ -41,8 +42,8 @@ CORRELATION_MIN = -1e-6
 class LearningPrior:
     """Weights of all channels before the first probe, and what they are added to.
 
-    An error is `share` times the prediction of the trained model, plus the features times the
-    weights, plus the drift.
+    An error is a share of the trained model's prediction, plus the features times the weights,
+    plus the drift.
 
     Parameters
     ----------
@@ -50,18 +51,18 @@ class LearningPrior:
         The features of the model's inputs.
     known : tuple of Knowledge, length c
         Knowledge of each channel.
-    share : float
+    share : tuple of float, length c
         Share of the trained model's prediction in an error [-].
     """
 
     basis: Basis
     known: tuple[Knowledge, ...]
-    share: float = MODEL_SHARE
+    share: tuple[float, ...]
 
     def learner(self) -> Learner:
         """Return a learner that begins with this.
 
-        It expects errors, and takes probes, less `share` times the prediction of the model.
+        It expects errors, and takes probes, less the share of the model's prediction.
         """
         learner = Learner(self.basis, len(self.known))
         learner.posteriors = tuple(Posterior.of(self.basis, known) for known in self.known)
@@ -76,15 +77,15 @@ class LearningPrior:
         return {
             'speed': self.basis.speed,
             'lags': list(self.basis.lags),
-            'share': self.share,
             'channels': [
                 {
+                    'share': share,
                     'scales': known.scales._asdict(),
                     'fastest': known.fastest,
                     'mean': known.mean.tolist(),
                     'covariance': _written(known.covariance),
                 }
-                for known in self.known
+                for share, known in zip(self.share, self.known, strict=True)
             ],
         }
 
@@ -109,10 +110,11 @@ class LearningPrior:
         with node.named():
             lags = node.get('lags').numbers(interval * LENGTH_MIN, NUMBER_MAX)
             basis = Basis(sensors, node.get('speed').boolean(), interval, lags)
+        channels = node.get('channels').list()
         return LearningPrior(
             basis=basis,
-            known=tuple(_read(item, basis.features) for item in node.get('channels').list()),
-            share=node.get('share').number(0.0, 1.0),
+            known=tuple(_read(item, basis.features) for item in channels),
+            share=tuple(item.get('share').number(0.0, 1.0) for item in channels),
         )
 
 

@@ -233,7 +233,7 @@ def changed(document, *path, value):
         (('prior', 'channels', 0, 'fastest'), 0.0, 'fastest: expected a number from 200'),
         (('prior', 'lags'), [0.0], 'lags'),
         (('prior', 'lags'), [60.0] * 200, 'prior: sensors: expected'),
-        (('prior', 'share'), 2.0, 'share: expected a number from 0 to 1'),
+        (('prior', 'channels', 0, 'share'), 2.0, 'share: expected a number from 0 to 1'),
         (('prior', 'speed'), 0, 'speed: expected true or false'),
     ],
 )

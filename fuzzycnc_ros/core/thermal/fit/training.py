@@ -192,7 +192,7 @@ def train_model(
         watch=learn_watch(even, selection, data.interval),
         cold_start=ColdStart.of(even, selection.chosen),
         fingerprints=fingerprints,
-        prior=learning_prior(even, selection.chosen, bool(drivers)),
+        prior=learning_prior(even, selection.chosen, bool(drivers), data, residual),
     )
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import calibrated_machine
 import numpy as np
 import pytest
-from calibrated_machine import SENSORS, made_run
+from calibrated_machine import SENSORS, learnt, made_run
 from processors import OLDEST, result_under
 
 from fuzzycnc_ros.core.document import Node
@@ -20,7 +20,6 @@ from fuzzycnc_ros.core.thermal.fit.learning_prior import (
     EVERY,
     EVIDENCE_MAX,
     NOISE,
-    learning_prior,
 )
 from fuzzycnc_ros.core.thermal.learning import Posterior
 from fuzzycnc_ros.core.thermal.prior import MODEL_SHARE, LearningPrior
@@ -34,19 +33,20 @@ def runs():
 
 @pytest.fixture(scope='module')
 def prior(runs):
-    return learning_prior(runs, SENSORS, True)
+    return learnt(runs)
 
 
-def evidence(monkeypatch, runs, inputs=SENSORS):
+def evidence(monkeypatch, runs):
     """Return the probes of each channel that runs are taken for."""
     seen, studied = [], Posterior.studied
 
-    def noted(basis, probes, expected):
-        seen.append(probes)
-        return studied(basis, probes, expected)
+    def noted(basis, probes, expected, *, tuned=True):
+        if tuned:
+            seen.append(probes)
+        return studied(basis, probes, expected, tuned=tuned)
 
     monkeypatch.setattr(module.Posterior, 'studied', noted)
-    learning_prior(runs, inputs, False)
+    learnt(runs, speed=False)
     return seen
 
 
@@ -55,13 +55,13 @@ def follow(learner, share, run, default):
     speeds = run.spindle_speed.tolist()
     found = [learner.step(*sample) for sample in zip(run.rise(), speeds, strict=True)]
     error, deviation = (np.array(values) for values in zip(*found, strict=True))
-    return share * default + error, deviation
+    return np.array(share) * default + error, deviation
 
 
 def test_a_machine_is_known_before_the_first_probe(runs):
     model = train_model(runs)
     run = made_run('new', 9)
-    assert model.prior.share == MODEL_SHARE
+    assert model.prior.share == (MODEL_SHARE, MODEL_SHARE)
     learner = model.prior.learner()
     error, deviation = follow(learner, model.prior.share, run, model.predict(run))
     left = run.displacement - error
@@ -71,8 +71,19 @@ def test_a_machine_is_known_before_the_first_probe(runs):
     assert (np.sqrt(np.mean(np.square(deviation), axis=0)) < 4.0 * rms).all()
 
 
+@pytest.mark.parametrize(('missed', 'share'), [(1e-4, 1.0), (0.1, MODEL_SHARE)])
+def test_a_model_that_is_better_beyond_chance_is_the_mean_alone(runs, missed, share):
+    prior = learnt(runs, missed=missed)
+    assert prior.share == (share, share)
+    learner, run = prior.learner(), made_run('new', 9)
+    error, deviation = follow(learner, prior.share, run, run.displacement)
+    left = run.displacement - error
+    assert left.any() == (share < 1.0)
+    assert (np.abs(left) < 2.0 * deviation).mean() > 0.9
+
+
 def test_a_probe_is_learnt_beside_what_is_known(runs):
-    prior = learning_prior(runs, SENSORS, True)
+    prior = learnt(runs)
     run = made_run('new', 9)
     learner = prior.learner()
     nothing = np.zeros_like(run.displacement)
@@ -117,15 +128,13 @@ def test_what_a_touch_probe_measured_counts_as_it_is(monkeypatch, runs):
     sparse = []
     for run in runs:
         displacement = np.full_like(run.displacement, np.nan)
-        displacement[45::90, 0] = run.displacement[45::90, 0]
-        if run is runs[1]:
-            displacement[100] = 1e-6
+        for channel, every in enumerate((45, 90)):
+            displacement[15::every, channel] = run.displacement[15::every, channel]
         sparse.append(replace(run, displacement=displacement))
-    one, other = evidence(monkeypatch, sparse)
-    assert [len(one), len(other)] == [13, 1]
-    assert other[0].run == 1
-    assert other[0].error == 1e-6
-    assert one[0].noise == other[0].noise == NOISE
+    for channel, probes in enumerate(evidence(monkeypatch, sparse)):
+        measured = np.concatenate([run.displacement[:, channel] for run in sparse])
+        assert [probe.error for probe in probes] == measured[np.isfinite(measured)].tolist()
+        assert {probe.noise for probe in probes} == {NOISE}
 
 
 def test_cycles_of_a_single_run_count_as_runs(monkeypatch):
@@ -140,7 +149,7 @@ def test_too_many_inputs_leave_no_prior(runs):
     names = tuple(f's{number}' for number in range(90))
     temperature = np.tile(runs[0].temperature, (1, 45))
     wide = replace(runs[0], sensor=names, temperature=temperature)
-    assert learning_prior([wide], names, True) is None
+    assert learnt([wide], names) is None
 
 
 def test_it_survives_its_document(prior):
