@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Learning from the probes that come with the samples: the error of a model, or all of it.
 
-Published error = prediction of the model + learnt rest.  What a probe changes comes into force
-within `correction_time` and never steps.
+Published error = share of the model's prediction + learnt rest.  A change by a probe comes into
+force within `correction_time` and never steps.
 """
 
 from collections import deque
@@ -61,11 +61,14 @@ class ProbeLearning:
 
     def __init__(self, model: ThermalModel, config: ThermalPredictorConfig) -> None:
         self._model, self._config = model, config
-        self._learner = (
-            Learner(Basis(len(model.inputs), True, model.interval), len(model.channel))
-            if config.learn
-            else None
-        )
+        self._share = np.ones(len(model.channel))
+        """Share of the model's prediction in an error, shape (c,) [-]."""
+        self._learner: Learner | None = None
+        if config.learn and model.prior is not None:
+            self._learner, self._share = model.prior.learner(), np.array(model.prior.share)
+        elif config.learn:
+            basis = Basis(len(model.inputs), True, model.interval)
+            self._learner = Learner(basis, len(model.channel))
         if self._learner is not None:
             self._fresh = self._learner.memory
         channels = len(model.channel)
@@ -154,6 +157,7 @@ class ProbeLearning:
         """
         if self._learner is None:
             return predicted, deviation
+        predicted = self._share * predicted
         if self._worked_at is not None:
             self._jump.advance((stamp - self._worked_at) / SECOND)
         self._worked_at = stamp

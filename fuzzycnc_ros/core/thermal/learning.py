@@ -14,6 +14,7 @@ References
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
@@ -842,7 +843,7 @@ class Learner:
         lengths = np.array(values[:channels], dtype=np.float64)
         if len(lengths) < channels or not float(np.sum(lengths)) == len(values) - channels:
             raise ValueError(f'memory: expected {channels} channels, but found other lengths')
-        learnt = tuple(Posterior(self.basis) for _ in range(channels))
+        learnt = tuple(copy(posterior) for posterior in self.posteriors)
         at = channels
         for posterior, length in zip(learnt, lengths.astype(np.int64).tolist(), strict=True):
             posterior.state = values[at : at + length]

@@ -287,18 +287,18 @@ def test_a_posterior_begins_with_knowledge_and_keeps_near_its_scales():
     known = Posterior.of(BASIS, studied)
     features = probes[18][2]
     variance = features @ studied.covariance @ features + studied.scales.drift**2
-    expected, deviation = known.predict(features)
+    expected, deviation = known.predict(features, 0.0)
     assert expected == pytest.approx(features @ studied.mean)
     assert deviation == pytest.approx(np.sqrt(variance))
     # Probes that say nothing of the scales leave them where runs before have put them.
-    known.update(np.zeros(16), 0.0, 1e-3)
+    known.update(np.zeros(16), 0.0, 0.0, 1e-3)
     known.tune()
     assert known.scales == studied.scales
     # What is learnt beyond it is of the run; the next one begins with less of it.
-    known.update(features, probes[18][3], 1e-6)
-    within = known.predict(features)[1]
+    known.update(features, 0.0, probes[18][3], 1e-6)
+    within = known.predict(features, 0.0)[1]
     known.begin_run()
-    assert within < known.predict(features)[1] < 2.0 * deviation
+    assert within < known.predict(features, 0.0)[1] < 2.0 * deviation
 
 
 def test_features_are_rises_speeds_and_their_lags():

@@ -21,9 +21,8 @@ from fuzzycnc_ros.core.thermal.fit.learning_prior import (
     EVIDENCE_MAX,
     NOISE,
 )
-from fuzzycnc_ros.core.thermal.learning import Posterior
+from fuzzycnc_ros.core.thermal.learning import Posterior, Verdict
 from fuzzycnc_ros.core.thermal.prior import MODEL_SHARE, LearningPrior
-from fuzzycnc_ros.core.thermal.probing import Verdict
 
 
 @pytest.fixture(scope='module')
@@ -50,10 +49,16 @@ def evidence(monkeypatch, runs):
     return seen
 
 
+def step(learner, rise, speed, time):
+    """Go on to a sample; return what is expected of it, and the deviation."""
+    learner.step(rise, speed, float(time))
+    return learner.predict()
+
+
 def follow(learner, share, run, default):
     """Return expected errors of a run and their deviation, (n, c) each."""
     speeds = run.spindle_speed.tolist()
-    found = [learner.step(*sample) for sample in zip(run.rise(), speeds, strict=True)]
+    found = [step(learner, *sample) for sample in zip(run.rise(), speeds, run.time, strict=True)]
     error, deviation = (np.array(values) for values in zip(*found, strict=True))
     return np.array(share) * default + error, deviation
 
@@ -88,23 +93,25 @@ def test_a_probe_is_learnt_beside_what_is_known(runs):
     learner = prior.learner()
     nothing = np.zeros_like(run.displacement)
     _, before = follow(learner, prior.share, run, nothing)
-    expected, _ = learner.step(run.rise()[-1], float(run.spindle_speed[-1]))
+    last = run.rise()[-1], float(run.spindle_speed[-1])
+    expected, _ = step(learner, *last, run.time[-1] + 60.0)
     learner.probe(expected + 1e-6, np.full(2, 0.3e-6))
-    error, after = learner.step(run.rise()[-1], float(run.spindle_speed[-1]))
+    error, after = step(learner, *last, run.time[-1] + 120.0)
     assert (expected < error).all()
     assert (error < expected + 1e-6).all()
     assert (after < before[-1]).all()
     fresh = prior.learner()
-    assert fresh.posteriors[0].predict(np.ones(16)) != learner.posteriors[0].predict(np.ones(16))
+    one, other = (item.posteriors[0].predict(np.ones(16), 1e5) for item in (fresh, learner))
+    assert one != other
 
 
 def test_a_false_probe_is_doubted_from_the_first_on(prior):
     run, learner = made_run('new', 9), prior.learner()
-    for rise, speed in zip(run.rise()[:120], run.spindle_speed.tolist(), strict=False):
-        expected, deviation = learner.step(rise, speed)
+    for sample in zip(run.rise()[:120], run.spindle_speed.tolist(), run.time, strict=False):
+        expected, deviation = step(learner, *sample)
     verdicts = learner.probe(expected + np.array([100e-6, 0.0]), np.full(2, 0.3e-6))
     assert verdicts.tolist() == [Verdict.REJECTED, Verdict.ACCEPTED]
-    error, _ = learner.step(rise, speed)
+    error, _ = step(learner, *sample[:2], sample[2] + 60.0)
     assert abs(error[0] - expected[0]) < 2.5 * deviation[0]
 
 
