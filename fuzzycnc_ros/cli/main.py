@@ -82,6 +82,11 @@ COMMANDS: Commands = {
         'fuzzycnc_ros.cli.models.curve:curve',
         'Show how the error on unseen runs falls with the number of sensors.',
     ),
+    'model': Later(
+        'Calibrate',
+        'fuzzycnc_ros.cli.models.model',
+        'Show, compare and hand on what probes have taught of a machine.',
+    ),
     'fleet': Later(
         'Calibrate',
         'fuzzycnc_ros.cli.fleet.command',

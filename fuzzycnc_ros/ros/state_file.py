@@ -12,7 +12,7 @@ from fuzzycnc_ros.runtime.component import Output
 from fuzzycnc_ros.runtime.convert import decode, encode
 from fuzzycnc_ros.runtime.records import Record
 
-_SIZE_MAX = 1 << 20
+_SIZE_MAX = 1 << 24
 
 
 class StateFileError(RuntimeError):

@@ -20,6 +20,7 @@ from fuzzycnc_ros.runtime.records import (
     Displacement,
     MachineState,
     PredictorState,
+    ProbeEvidence,
     Record,
     SensorCluster,
     SensorSelection,
@@ -48,6 +49,7 @@ PARALLEL: dict[type[Any], dict[str, tuple[str, ...]]] = {
         'axis': ('channel', 'error', 'standard_deviation'),
         'substituted': ('substitute',),
     },
+    ProbeEvidence: {'axis': ('channel', 'evidence')},
     ThermalPosterior: {'axis': ('channel', 'probes', 'evidence')},
     ThermalReference: {'sensor': ('temperature',)},
 }

@@ -153,6 +153,17 @@ class ThermalPosterior(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class ProbeEvidence(Record):
+    """Evidence that probes see an offset as it is."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/ProbeEvidence'
+
+    axis: Names
+    channel: Names
+    evidence: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Displacement(Record):
     """Measured displacement of the tool since the thermal reference."""
 

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Axes whose error is followed: known well enough, and confirmed by a probe under an offset."""
 
+from collections import deque
 from collections.abc import Iterator
 
 import numpy as np
@@ -9,7 +10,13 @@ import numpy as np
 from fuzzycnc_ros.core.thermal.band import WIDTH
 from fuzzycnc_ros.core.thermal.confirmation import is_right, is_wrong
 from fuzzycnc_ros.runtime.component import Health, Level
-from fuzzycnc_ros.runtime.records import Bools, Floats, Names, ThermalPosterior
+from fuzzycnc_ros.runtime.records import Bools, Floats, Names, ProbeEvidence, Stamp, nanoseconds
+
+HEARD_AFTER = 600.0
+"""Time [s] after which evidence counts, so that a replay takes it at the same error."""
+
+FOUND_MAX = 100
+"""Most evidence that waits for that."""
 
 
 class AxisTrust:
@@ -26,24 +33,30 @@ class AxisTrust:
         self._error = self._half = np.full(len(axes), np.nan)
         self._part = np.ones(len(axes))
         self._evidence = np.zeros(len(axes))
+        self._found: deque[ProbeEvidence] = deque(maxlen=FOUND_MAX)
         self._turn: int | None = None
         """Axis that is tried, of those that no probe has confirmed."""
         self.known: Bools = np.zeros(len(axes), dtype=np.bool_)
         """Axes whose error is known well enough, shape (c,)."""
 
-    def learn(self, posterior: ThermalPosterior) -> None:
-        """Take what probes under an offset have said; the first channel speaks for an axis."""
-        for number, axis in enumerate(self._axes):
-            if axis in posterior.axis:
-                self._evidence[number] = posterior.evidence[posterior.axis.index(axis)]
+    def learn(self, found: ProbeEvidence) -> None:
+        """Note what probes under an offset have said; the first channel speaks for an axis."""
+        self._found.append(found)
 
     def follow(
-        self, error: Floats, deviation: Floats, band_share: float, first_share: float
+        self,
+        stamp: Stamp,
+        error: Floats,
+        deviation: Floats,
+        band_share: float,
+        first_share: float,
     ) -> Floats:
         """Return the part of the error (c,) [m] that is to be taken off, shape (c,) [m].
 
         Parameters
         ----------
+        stamp : int
+            Machine time [ns].
         error, deviation : ndarray, shape (c,)
             Thermal error and its standard deviation [m]; NaN where that is not known.
         band_share : float
@@ -52,6 +65,11 @@ class AxisTrust:
         first_share : float
             Part of the error that is taken off until a probe confirms it [-].
         """
+        while self._found and self._found[0].stamp + nanoseconds(HEARD_AFTER) <= stamp:
+            found = self._found.popleft()
+            for number, axis in enumerate(self._axes):
+                if axis in found.axis:
+                    self._evidence[number] = found.evidence[found.axis.index(axis)]
         self._error, self._half = error, WIDTH * deviation
         self._part = np.where(is_right(self._evidence), 1.0, first_share)
         if first_share < 1.0:

@@ -38,9 +38,9 @@ from fuzzycnc_ros.runtime.records import (
     CompensationApplied,
     Floats,
     MachineState,
+    ProbeEvidence,
     Record,
     ThermalError,
-    ThermalPosterior,
     nanoseconds,
 )
 
@@ -112,7 +112,7 @@ class Compensator(Component[CompensatorConfig]):
     INPUTS = (
         MACHINE,
         APPLIED,
-        Input('thermal_posterior', ThermalPosterior, LATCHED, quiet=True, sole=True),
+        Input('probe_evidence', ProbeEvidence, LATCHED, quiet=True, sole=True),
         Input('thermal_error', ThermalError, driving=True, sole=True),
     )
     OUTPUTS = (Output('compensation', Compensation),)
@@ -179,6 +179,7 @@ class Compensator(Component[CompensatorConfig]):
         self._why = self._refusal(error)
         if not self._why:
             self._target = -self._trust.follow(
+                error.stamp,
                 self._of_axes(error, error.error),
                 self._of_axes(error, error.standard_deviation),
                 self._config.band_share,
@@ -193,9 +194,9 @@ class Compensator(Component[CompensatorConfig]):
             return
         yield self._update(error.stamp)
 
-    def on_thermal_posterior(self, posterior: ThermalPosterior) -> None:
-        """Note which axes probes under an offset have confirmed."""
-        self._trust.learn(posterior)
+    def on_probe_evidence(self, evidence: ProbeEvidence) -> None:
+        """Note which axes probes under an offset have confirmed, for later errors."""
+        self._trust.learn(evidence)
 
     def on_compensation_applied(self, applied: CompensationApplied) -> None:
         """Join the offsets in force: at first, and whenever the machine does not follow.

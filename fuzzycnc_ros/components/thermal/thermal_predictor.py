@@ -42,6 +42,7 @@ from fuzzycnc_ros.runtime.records import (
     Floats,
     MachineState,
     PredictorState,
+    ProbeEvidence,
     Record,
     SensorSelection,
     SpindleSpeed,
@@ -265,6 +266,7 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
         Output('thermal_error', ThermalError),
         Output('predictor_state', PredictorState, LATCHED, persistent=True),
         Output('thermal_posterior', ThermalPosterior, LATCHED, persistent=True),
+        Output('probe_evidence', ProbeEvidence, LATCHED, persistent=True),
     )
 
     def __init__(self, config: ThermalPredictorConfig | None = None) -> None:
@@ -342,8 +344,21 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
         learnt = history.learnt(newest.sample.stamp if newest else stamp, self.frame('machine'))
         if learnt is None:
             return Answer(True, text)
-        self._stream.memory = learnt
-        return Answer(True, text, (Emission('thermal_posterior', learnt),))
+        return Answer(True, text, tuple(self._learnt(learnt)))
+
+    def _learnt(self, posterior: ThermalPosterior) -> Iterator[Emission]:
+        """Keep what was learnt, and tell it; what others need of it is small, and comes first."""
+        before, self._stream.memory = self._stream.memory, posterior
+        if before is None or not np.array_equal(before.evidence, posterior.evidence):
+            evidence = ProbeEvidence(
+                stamp=posterior.stamp,
+                frame_id=posterior.frame_id,
+                axis=posterior.axis,
+                channel=posterior.channel,
+                evidence=posterior.evidence,
+            )
+            yield Emission('probe_evidence', evidence)
+        yield Emission('thermal_posterior', posterior)
 
     def renewed(self, step: int) -> 'tuple[ThermalPredictor, list[Emission]]':
         """Begin with the same model; the history goes on once the same reference comes anew."""
@@ -419,8 +434,7 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
         if self._swap.in_use is not None:
             learnt = self._swap.in_use.learnt(sample.stamp, self.frame('machine'))
             if learnt is not None:
-                self._stream.memory = learnt
-                yield Emission('thermal_posterior', learnt)
+                yield from self._learnt(learnt)
 
     def _begin_with_nothing(self) -> None:
         """Begin to learn all of the error, once sensors and sampling interval are known."""

@@ -14,7 +14,7 @@ References
 """
 
 from collections.abc import Sequence
-from copy import copy
+from copy import copy, deepcopy
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
@@ -329,9 +329,14 @@ class Posterior:
         if tuned:
             found.scales, _ = found._likeliest(found._evidence(found._probes))
         found._rebuild()
+        return found.knowledge()
+
+    def knowledge(self) -> Knowledge:
+        """Return what is known for the next run."""
+        found = deepcopy(self)
         found.begin_run()
-        weights = found._covariance[:-1, :-1].copy()
-        return Knowledge(found.scales, found._fastest, found._mean[:-1].copy(), weights)
+        weights = found._covariance[:-1, :-1]
+        return Knowledge(found.scales, found._fastest, found._mean[:-1], weights)
 
     @property
     def missed(self) -> float:

@@ -14,7 +14,7 @@ from fuzzycnc_ros.core.thermal.confirmation import is_right, is_wrong
 from fuzzycnc_ros.runtime.records import (
     CompensationApplied,
     Displacement,
-    ThermalPosterior,
+    ProbeEvidence,
     nanoseconds,
 )
 
@@ -40,19 +40,13 @@ def follow(bench, time, error, deviation=1.0, other=0.0):
 
 def told(bench, evidence, time=0.0):
     """Tell what probes under an offset of Y and Z have said."""
-    record = ThermalPosterior(
+    record = ProbeEvidence(
         stamp=nanoseconds(time),
-        model_hash='',
-        reference_stamp=0,
-        interval=60.0,
-        input=('T1',),
         axis=('Y', 'Z'),
         channel=('Y', 'Z'),
-        probes=np.ones(2, np.uint64),
         evidence=np.array(evidence),
-        memory=np.zeros(2),
     )
-    bench.push('thermal_posterior', record)
+    bench.push('probe_evidence', record)
 
 
 def test_an_axis_that_is_known_too_little_is_not_followed():
@@ -73,13 +67,14 @@ def test_a_part_is_followed_until_probes_confirm_it():
         bench.health()
     )
     told(bench, [0.9, 0.0], 90.0)
-    assert follow(bench, 120.0, 20.0) == pytest.approx(-10.0)
-    told(bench, [1.0, 0.0], 150.0)
-    assert follow(bench, 180.0, 20.0) == pytest.approx(-20.0)
+    assert follow(bench, 700.0, 20.0) == pytest.approx(-10.0)
+    told(bench, [1.0, 0.0], 750.0)
+    assert follow(bench, 1349.0, 20.0) == pytest.approx(-10.0)
+    assert follow(bench, 1350.0, 20.0) == pytest.approx(-20.0)
     # What was confirmed belongs to the machine, not to this activation.
     assert bench.request('deactivate').success
     assert bench.request('activate').success
-    assert follow(bench, 240.0, 20.0) == pytest.approx(-20.0)
+    assert follow(bench, 1440.0, 20.0) == pytest.approx(-20.0)
 
 
 def test_axes_are_tried_one_by_one():
@@ -88,7 +83,7 @@ def test_axes_are_tried_one_by_one():
     assert bench.records('compensation')[-1].offset.tolist() == [0.0, -15.0 * MICRON]
     assert 'Y after that' in bench.health()
     told(bench, [0.0, 1.2], 90.0)
-    follow(bench, 120.0, 20.0, other=30.0)
+    follow(bench, 720.0, 20.0, other=30.0)
     np.testing.assert_allclose(
         bench.records('compensation')[-1].offset, [-10.0 * MICRON, -30.0 * MICRON]
     )
@@ -98,10 +93,10 @@ def test_an_axis_that_probes_contradict_is_not_followed():
     bench = bench_of(first_share=0.5)
     follow(bench, 60.0, 20.0)
     told(bench, [-3.0, 0.0], 90.0)
-    assert follow(bench, 120.0, 20.0) == 0.0
+    assert follow(bench, 720.0, 20.0) == 0.0
     assert 'ERROR probes: Y not followed: probes do not see the offset as it is' in bench.health()
-    told(bench, [0.0, 0.0], 150.0)  # forgotten
-    assert follow(bench, 180.0, 20.0) == pytest.approx(-10.0)
+    told(bench, [0.0, 0.0], 750.0)  # forgotten
+    assert follow(bench, 1380.0, 20.0) == pytest.approx(-10.0)
 
 
 def test_without_the_parameter_nothing_is_held_back():
