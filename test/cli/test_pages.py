@@ -48,6 +48,7 @@ LONG = {
     'docs/explanation/methods/servo.md',
     'docs/how-to/fleet.md',
     'docs/how-to/integration.md',
+    'docs/how-to/learning.md',
     'docs/how-to/live-page.md',
     'docs/how-to/scaling.md',
     'docs/how-to/security.md',

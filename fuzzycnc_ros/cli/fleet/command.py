@@ -7,6 +7,7 @@ from typing import Any
 
 from fuzzycnc_ros.cli.fleet.evaluate import evaluate, report
 from fuzzycnc_ros.cli.fleet.machines import compare, train
+from fuzzycnc_ros.cli.fleet.prior import prior
 
 HELP = """Train, compare, evaluate and report over thousands of bags of many machines.
 
@@ -22,5 +23,6 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     'evaluate': evaluate,
     'train': train,
     'compare': compare,
+    'prior': prior,
     'report': report,
 }

@@ -4,11 +4,13 @@
 
 from base64 import b64decode, b64encode
 from binascii import Error
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import LENGTH_MIN, NUMBER_MAX, Array
 from fuzzycnc_ros.core.document import Node
 from fuzzycnc_ros.core.thermal.learning import (
@@ -155,3 +157,50 @@ def _read_covariance(node: Node, size: int) -> Array:
     if not usable:
         node.refuse('a positive definite matrix')
     return found
+
+
+def of_one_kind(priors: Sequence[LearningPrior]) -> LearningPrior:
+    """Return what machines of one kind teach of another one before its first probe.
+
+    The weights of machines are normal about those of the kind: the mean is theirs, the covariance
+    that of the sample, plus what is unknown of each machine on the average.
+
+    Parameters
+    ----------
+    priors : sequence of LearningPrior
+        What was learnt of each machine, two at least, with the same features and channels.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer, or they differ in features, channels or the share of a model.
+    """
+    first, count = priors[0], len(priors)
+    if count < 2:
+        raise ValueError(f'machines: expected two of one kind or more, but found {count}')
+    for other in priors[1:]:
+        if (other.basis, other.share) != (first.basis, first.share):
+            raise ValueError(
+                'machines: expected the same number of sensors, lags, interval and share of a '
+                'model in all of them, but found others'
+            )
+    known = []
+    for channel in range(len(first.known)):
+        each = [prior.known[channel] for prior in priors]
+        mean = sum((item.mean for item in each), np.zeros(first.basis.features)) / count
+        covariance = np.zeros((first.basis.features,) * 2)
+        for item in each:
+            apart = item.mean - mean
+            # The mean of so few is not that of the kind.
+            covariance += (1.0 + 1.0 / count) / (count - 1) * apart * apart[:, np.newaxis]
+            covariance += item.covariance / count
+        logs = np.array([portable.log(np.array(item.scales)) for item in each]).sum(axis=0)
+        known.append(
+            Knowledge(
+                scales=Scales(*portable.exp(logs / count).tolist()),
+                fastest=max(item.fastest for item in each),
+                mean=mean,
+                covariance=covariance,
+            )
+        )
+    return replace(first, known=tuple(known))

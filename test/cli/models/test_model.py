@@ -109,3 +109,20 @@ def test_a_damaged_memory_is_refused_by_name(refused, tmp_path, bags):
     with PublishedBag(tmp_path / 'bad') as bag:
         bag('thermal_posterior', replace(bags[-1], memory=bags[-1].memory[:-1]))
     refused('model', 'show', 'bad', naming=['memory'])
+
+
+def test_machines_of_one_kind_give_a_model_to_begin_with(fuzzycnc, refused, bags):
+    for name in ('much', 'little'):
+        assert fuzzycnc('model', 'export', name, '--out', f'{name}.json').code == 0
+    outcome = fuzzycnc('fleet', 'prior', 'much.json', 'little.json', '--out', 'kind.json')
+    assert outcome.code == 0, outcome
+    assert 'written from 2 machines' in outcome.out
+    known = {
+        name: load_model(Path(f'{name}.json')).prior.known[1].mean
+        for name in ('much', 'little', 'kind')
+    }
+    np.testing.assert_allclose(known['kind'], 0.5 * (known['much'] + known['little']))
+    Path('mill.json').write_text(model_text())
+    refused('fleet', 'prior', 'much.json', 'mill.json', '--out', 'k.json', naming=['mill.json'])
+    refused('fleet', 'prior', 'much.json', '--out', 'k.json', naming=['two of one kind'])
+    assert not Path('k.json').exists()
