@@ -35,13 +35,7 @@ def blank_model(inputs: Sequence[str], axis: Sequence[str], interval: float) -> 
         If a sensor or an axis is named twice, or there is none, or the interval is none.
     """
     sensors, channels = len(inputs), len(axis)
-    nothing = LinearRecursion(
-        pole=np.empty(0),
-        drive=np.empty((0, sensors)),
-        readout=np.empty((channels, 0)),
-        direct=np.zeros((channels, sensors)),
-        offset=np.zeros(channels),
-    )
+    nothing = LinearRecursion.of_nothing(channels, sensors)
     unknown = np.full(channels, np.nan)
     alone = [SensorCluster((name,), (1.0,), name, (), (), ()) for name in inputs]
     return ThermalModel(

@@ -486,13 +486,7 @@ def fit_candidate(
 def uncompensated(data: TrainingSet) -> JudgedCandidate:
     """Return the candidate that predicts nothing, judged as all others are."""
     channels, inputs = data.displacement.shape[1], data.rise.shape[1] + data.drive.shape[1]
-    nothing = LinearRecursion(
-        pole=np.empty(0),
-        drive=np.empty((0, inputs)),
-        readout=np.empty((channels, 0)),
-        direct=np.zeros((channels, inputs)),
-        offset=np.zeros(channels),
-    )
+    nothing = LinearRecursion.of_nothing(channels, inputs)
     predicted = [np.zeros((int(data.tested(fold).sum()), channels)) for fold in data.folds]
     return _judged(UNCOMPENSATED, None, [{}] * channels, nothing, [], data, predicted)
 

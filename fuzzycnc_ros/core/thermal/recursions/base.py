@@ -440,6 +440,17 @@ class LinearRecursion(Recursion):
             offset=self.offset[one],
         )
 
+    @staticmethod
+    def of_nothing(channels: int, inputs: int) -> 'LinearRecursion':
+        """Return the recursion that predicts no error from any input."""
+        return LinearRecursion(
+            pole=np.empty(0),
+            drive=np.empty((0, inputs)),
+            readout=np.empty((channels, 0)),
+            direct=np.zeros((channels, inputs)),
+            offset=np.zeros(channels),
+        )
+
     @classmethod
     def merge(cls, items: Sequence['LinearRecursion']) -> 'LinearRecursion':
         """Return one recursion for all channels; the same lags of the same inputs are shared."""
