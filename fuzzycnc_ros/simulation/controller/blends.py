@@ -238,14 +238,18 @@ class Plan:
         self._jump = (np.abs(after - before) / rise).max(axis=1).tolist()
         self._rise = _in_plane(normal, rise).tolist()
         self._flat = _in_plane(normal, np.array(limits.velocity)).tolist()
-        self._sense_out = _senses(moves, one, normal)
-        self._sense_in = _senses(moves, other, normal)
-        # overlapping moves are compared without what an arc climbs
-        level = replace(moves, rise=np.zeros_like(moves.rise), growth=np.zeros(count))
-        out = level.tangent(one, np.ones(count - 1))
-        into = level.tangent(other, np.zeros(count - 1))
-        self._onward = np.einsum('ij,ij->i', out, into).tolist()
-        self._aside = np.einsum('ij,ij->i', out, -_unit(moves.radial[other])).tolist()
+        # of lines the angle is what counts
+        self._sense_out = self._sense_in = self._aside = [0.0] * (count - 1)
+        self._onward = cosine.tolist()
+        if moves.arc.any():
+            self._sense_out = _senses(moves, one, normal)
+            self._sense_in = _senses(moves, other, normal)
+            # overlapping moves are compared without what an arc climbs
+            level = replace(moves, rise=np.zeros_like(moves.rise), growth=np.zeros(count))
+            out = level.tangent(one, np.ones(count - 1))
+            into = level.tangent(other, np.zeros(count - 1))
+            self._onward = np.einsum('ij,ij->i', out, into).tolist()
+            self._aside = np.einsum('ij,ij->i', out, -_unit(moves.radial[other])).tolist()
         most, gain = move_limits(moves, limits)
         self._most, self._gain = most.tolist(), gain.tolist()
         self._length, self._feed = moves.length.tolist(), moves.feed.tolist()

@@ -355,24 +355,26 @@ class _Points:
             [(one.low, one.high, one.length) for one in found]
         ).T
         self._blend = np.array([one.blend is not None for one in found])
+        self._begin = moves.place[:, 0]
+        self._span = moves.place[:, 1] - moves.place[:, 0]
 
     def at(self, segment: NDArray[np.intp], way: Array) -> tuple[Array, Array]:
         """Return positions and places of ways inside segments."""
-        move, moves = self._move[segment], self._moves
+        move = self._move[segment]
         share = way / np.maximum(self.length[segment], 1e-15)
-        low, high, bent = self._low[segment], self._high[segment], self._blend[segment]
-        along = low + (high - low) * share
-        position = moves.position(move, np.where(bent, 0.0, along))
-        ends = moves.place[move, 0], np.diff(moves.place, axis=1)[move, 0]
-        place = ends[0] + ends[1] * along
+        low = self._low[segment]
+        along = low + (self._high[segment] - low) * share
+        place = self._begin[move] + self._span[move] * along
+        bent = self._blend[segment]
+        position = self._moves.position(move, np.where(bent, 0.0, along))
         rounded = np.flatnonzero(bent)
-        if len(rounded):
-            one = move[rounded]
-            begin = ends[0][rounded] + ends[1][rounded] * low[rounded]
-            end = moves.place[one + 1, 0]
-            end = end + np.diff(moves.place, axis=1)[one + 1, 0] * high[rounded]
-            place[rounded] = begin + (end - begin) * share[rounded]
-            position[rounded] = self._rounded(segment[rounded], way[rounded])
+        if not len(rounded):
+            return position, place
+        position[rounded] = self._rounded(segment[rounded], way[rounded])
+        one = move[rounded]
+        begin = self._begin[one] + self._span[one] * low[rounded]
+        end = self._begin[one + 1] + self._span[one + 1] * self._high[segment[rounded]]
+        place[rounded] = begin + (end - begin) * share[rounded]
         return position, place
 
     def _rounded(self, segment: NDArray[np.intp], way: Array) -> Array:
