@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import sqrt
@@ -55,16 +56,31 @@ class Commanded:
     duration: float
 
 
-def command(moves: Moves, limits: ControllerLimits) -> Commanded:
-    """Return what a controller commands for moves that follow each other, from rest to rest.
-
-    Lines are merged, corners passed as the path mode says, and the speed is as high as feeds,
-    axes, blends and look-ahead let it be; acceleration is not limited in its change.
+def chains(moves: Moves) -> list[Moves]:
+    """Return moves as the planner gets them: lines merged, and cut where the program stands still.
 
     Parameters
     ----------
     moves : Moves
         At least one move; only the first one begins a path.
+    """
+    moves = merged(moves)
+    # there the planner is empty
+    last = np.flatnonzero(moves.stop[:-1]) + 1
+    edges = pairwise([0, *last.tolist(), len(moves)])
+    return [moves.chosen(np.arange(low, high)) for low, high in edges]
+
+
+def command(moves: Sequence[Moves], limits: ControllerLimits) -> Commanded:
+    """Return what a controller commands for a path, from rest to rest.
+
+    Corners are passed as the path mode says, and the speed is as high as feeds,
+    axes, blends and look-ahead let it be; acceleration is not limited in its change.
+
+    Parameters
+    ----------
+    moves : sequence of Moves
+        As `chains` returns them.
     limits : ControllerLimits
         Of the axes.
 
@@ -77,15 +93,9 @@ def command(moves: Moves, limits: ControllerLimits) -> Commanded:
     --------
     See `fuzzycnc_ros.simulation.controller.program.simulate`.
     """
-    moves = merged(moves)
-    # the planner is empty wherever the program stands still
-    last = np.flatnonzero(moves.stop[:-1]) + 1
-    parts = [
-        _chain(moves.chosen(np.arange(low, high)), limits)
-        for low, high in pairwise([0, *last.tolist(), len(moves)])
-    ]
-    position = np.concatenate([moves.start[:1], *(part.position for part in parts)])
-    place = np.concatenate([moves.place[:1, 0], *(part.place for part in parts)])
+    parts = [_chain(chain, limits) for chain in moves]
+    position = np.concatenate([moves[0].start[:1], *(part.position for part in parts)])
+    place = np.concatenate([moves[0].place[:1, 0], *(part.place for part in parts)])
     # joints get cubic splines of the planner's positions, and two periods later
     one, two, three = (np.pad(position, ((2 - k, k), (0, 0)), 'edge') for k in range(3))
     place = np.pad(place, 1, 'edge')
