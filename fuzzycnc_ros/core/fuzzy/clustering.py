@@ -20,7 +20,7 @@ from fuzzycnc_ros.core.estimator import ClusterEstimator, check_features, check_
 
 FUZZIFIER_MAX = 50.0
 """Largest fuzzifier; far above any use, and the powers of small memberships stay numbers."""
-_ROWS = 8
+_ROWS = 4
 """Points whose products with all others are taken in one go."""
 
 
