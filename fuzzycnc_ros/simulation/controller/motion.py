@@ -18,6 +18,7 @@ from fuzzycnc_ros.simulation.controller.blends import (
     STOP,
     TANGENT,
     ControllerLimits,
+    Corners,
     Plan,
     PlannedPart,
 )
@@ -56,8 +57,10 @@ class Commanded:
     duration: float
 
 
-def chains(moves: Moves) -> list[Moves]:
-    """Return moves as the planner gets them: lines merged, and cut where the program stands still.
+def chains(moves: Moves) -> list[tuple[Moves, Corners]]:
+    """Return moves as the planner gets them, and their corners: what no limit changes.
+
+    Lines are merged, and moves cut where the program stands still.
 
     Parameters
     ----------
@@ -68,10 +71,11 @@ def chains(moves: Moves) -> list[Moves]:
     # there the planner is empty
     last = np.flatnonzero(moves.stop[:-1]) + 1
     edges = pairwise([0, *last.tolist(), len(moves)])
-    return [moves.chosen(np.arange(low, high)) for low, high in edges]
+    parts = [moves.chosen(np.arange(low, high)) for low, high in edges]
+    return [(part, Corners.of(part)) for part in parts]
 
 
-def command(moves: Sequence[Moves], limits: ControllerLimits) -> Commanded:
+def command(path: Sequence[tuple[Moves, Corners]], limits: ControllerLimits) -> Commanded:
     """Return what a controller commands for a path, from rest to rest.
 
     Corners are passed as the path mode says, and the speed is as high as feeds,
@@ -79,7 +83,7 @@ def command(moves: Sequence[Moves], limits: ControllerLimits) -> Commanded:
 
     Parameters
     ----------
-    moves : sequence of Moves
+    path : sequence of (Moves, Corners)
         As `chains` returns them.
     limits : ControllerLimits
         Of the axes.
@@ -93,18 +97,19 @@ def command(moves: Sequence[Moves], limits: ControllerLimits) -> Commanded:
     --------
     See `fuzzycnc_ros.simulation.controller.program.simulate`.
     """
-    parts = [_chain(chain, limits) for chain in moves]
-    position = np.concatenate([moves[0].start[:1], *(part.position for part in parts)])
-    place = np.concatenate([moves[0].place[:1, 0], *(part.place for part in parts)])
+    first = path[0][0]
+    parts = [_chain(moves, corners, limits) for moves, corners in path]
+    position = np.concatenate([first.start[:1], *(part.position for part in parts)])
+    place = np.concatenate([first.place[:1, 0], *(part.place for part in parts)])
     # joints get cubic splines of the planner's positions, and two periods later
     one, two, three = (np.pad(position, ((2 - k, k), (0, 0)), 'edge') for k in range(3))
     place = np.pad(place, 1, 'edge')
     return Commanded((one + 4.0 * two + three) / 6.0, place, limits.period * (len(place) - 1))
 
 
-def _chain(moves: Moves, limits: ControllerLimits) -> Commanded:
+def _chain(moves: Moves, corners: Corners, limits: ControllerLimits) -> Commanded:
     """Return what is commanded from one rest to the next, and while it stands there."""
-    plan = Plan(moves, limits)
+    plan = Plan(moves, corners, limits)
     run = _Run(plan, moves.rest.tolist(), limits)
     position, place = _evaluated(moves, plan, run, limits.period)
     return Commanded(position, place, limits.period * len(place))

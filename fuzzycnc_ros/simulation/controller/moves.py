@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,38 +14,6 @@ from fuzzycnc_ros.core.arrays import Array
 
 _CHAIN_MAX = 100
 """Points that are merged into one line at most."""
-
-
-@dataclass(frozen=True, eq=False)
-class Corners:
-    """What is between moves that follow each other, n - 1 of them.
-
-    Attributes
-    ----------
-    along, inward : ndarray, shape (n - 1, 3)
-        The planes of the corners: unit vectors along the move before it, and across that to
-        where the next one goes.
-    change, across : ndarray, shape (n - 1, 3)
-        Size of the change of the unit tangents by axis, and lengths of the axes in the planes.
-    turn : list of float
-        [rad]
-    onward, aside : list of float
-        Parts of the unit vector along the move before it that lie along the next one, and along
-        what pulls that aside; of arcs as if they did not climb.
-    sense_out, sense_in : list of float
-        1 where the arc before it, and behind it, bends as the corner does, -1 if the other way;
-        0 out of its plane, and of lines.
-    """
-
-    along: Array
-    inward: Array
-    change: Array
-    across: Array
-    turn: list[float]
-    onward: list[float]
-    aside: list[float]
-    sense_out: list[float]
-    sense_in: list[float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,39 +88,6 @@ class Moves:
         """Return the radius of arcs at their starts, 0 of lines [m]."""
         return np.asarray(np.linalg.norm(self.radial, axis=1))
 
-    @cached_property
-    def corners(self) -> Corners:
-        """The corners between the moves, worked out once for all limits."""
-        count = len(self)
-        one, other = np.arange(count - 1), np.arange(1, count)
-        before = self.tangent(one, np.ones(count - 1))
-        after = self.tangent(other, np.zeros(count - 1))
-        cosine = np.einsum('ij,ij->i', before, after)
-        normal = _unit(np.cross(before, after))
-        # of lines the angle is what counts
-        sense_out = sense_in = aside = [0.0] * (count - 1)
-        onward = cosine.tolist()
-        if self.arc.any():
-            axis = _unit(np.cross(self.radial, self.across))
-            sense_out, sense_in = _senses(axis[one], normal), _senses(axis[other], normal)
-            # overlapping moves are compared without what an arc climbs
-            level = replace(self, rise=np.zeros_like(self.rise), growth=np.zeros(count))
-            out = level.tangent(one, np.ones(count - 1))
-            into = level.tangent(other, np.zeros(count - 1))
-            onward = np.einsum('ij,ij->i', out, into).tolist()
-            aside = np.einsum('ij,ij->i', out, -_unit(self.radial[other])).tolist()
-        return Corners(
-            before,
-            _unit(after - cosine[:, np.newaxis] * before),
-            np.abs(after - before),
-            np.sqrt(np.maximum(1.0 - normal**2, 0.0)),
-            np.arccos(np.clip(cosine, -1.0, 1.0)).tolist(),
-            onward,
-            aside,
-            sense_out,
-            sense_in,
-        )
-
     def position(self, index: NDArray[np.intp], share: Array) -> Array:
         """Return points of moves at shares of their way, 0 to 1, shape (m, 3) [m]."""
         share = share[:, np.newaxis]
@@ -183,17 +117,6 @@ class Moves:
                 + self.rise[one]
             )
         return np.asarray(along / np.maximum(np.linalg.norm(along, axis=1), 1e-15)[:, np.newaxis])
-
-
-def _unit(vectors: Array) -> Array:
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(vectors / np.maximum(length, 1e-15))
-
-
-def _senses(axis: Array, normal: Array) -> list[float]:
-    """Return 1 for arcs that bend as their corner does, -1 for the others; 0 out of its plane."""
-    sense = np.einsum('ij,ij->i', axis, normal)
-    return np.where(np.abs(sense) > 1.0 - 1e-9, np.sign(sense), 0.0).tolist()
 
 
 def merged(moves: Moves) -> Moves:

@@ -24,7 +24,7 @@ from fuzzycnc_ros.core.feedrate.gcode.segments import (
     LineSegment,
     Segment,
 )
-from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
+from fuzzycnc_ros.simulation.controller.blends import ControllerLimits, Corners
 from fuzzycnc_ros.simulation.controller.motion import Commanded, chains, command
 from fuzzycnc_ros.simulation.controller.moves import Moves
 
@@ -140,8 +140,8 @@ class ProgramMoves:
         return [self.moves.chosen(np.arange(low, high)) for low, high in pairwise(edge)]
 
     @cached_property
-    def chains(self) -> list[list[Moves]]:
-        """Moves of each path as the planner gets them, worked out once for all limits."""
+    def chains(self) -> list[list[tuple[Moves, Corners]]]:
+        """Moves and corners of each path as the planner gets them, once for all limits."""
         return [chains(run) for run in self.runs()]
 
 
