@@ -51,6 +51,9 @@ __all__ = [
 LENGTH_MAX = 20.0
 """Extent of a path that is likely [m]."""
 
+SAMPLES_MAX = 1_000_000
+"""Most places at which a feed is chosen."""
+
 TOLERANCE_MAX = 2e-3
 """Contour tolerance that is likely [m]."""
 
@@ -80,7 +83,7 @@ def schedule(
     limits : MotionLimits
         Limits of path and axes.
     samples : int
-        Places at which the feed is chosen; at least one for each point.
+        Places at which the feed is chosen, 2 to 1,000,000; at least one for each point.
 
     Returns
     -------
@@ -95,7 +98,7 @@ def schedule(
     Warns
     -----
     UserWarning
-        If points or tolerance look like millimetres.
+        If points, tolerance or limits look like millimetres.
 
     Examples
     --------
@@ -110,6 +113,12 @@ def schedule(
     >>> motion.sample(1e-3).position.shape[1]
     2
     """
+    for name, number, low, high in (
+        ('samples', samples, 2, SAMPLES_MAX), ('machine_constant', machine_constant, 0.0, 1.0),
+    ):  # fmt: skip
+        if not low <= number <= high:
+            raise ValueError(f'{name}: expected {low:g} to {high:g} but found {number:g}')
+    samples = int(samples)
     geometry = _geometry(path, samples)
     node = geometry.node
     extent = float(np.ptp(geometry.evaluate(node), axis=0).max())
@@ -120,6 +129,15 @@ def schedule(
             warnings.warn(
                 f'{name}: expected metres, at most {most:g} m, but found {length:g} m; divide by '
                 '1000 if it is in millimetres',
+                stacklevel=2,
+            )
+    for name, unit, most in (('velocity', 'm/s', 100.0), ('acceleration', 'm/s^2', 1e4)):
+        own = (getattr(limits, f'path_{name}'), *(getattr(limits, name) or ()))
+        largest = max((value for value in own if value < np.inf), default=0.0)
+        if largest > most:
+            warnings.warn(
+                f'{name}: expected {unit}, at most {most:g} {unit}, but found {largest:g} {unit}; '
+                'divide by 1000 if it is in millimetres',
                 stacklevel=2,
             )
     if len(node) < samples:

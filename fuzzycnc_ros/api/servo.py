@@ -16,6 +16,7 @@ Examples
 from __future__ import annotations
 
 import os
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ from fuzzycnc_ros.core.machine.machine_data import AxisData, MachineData
 from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS, make_axis_controller
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
-from fuzzycnc_ros.machine_file.reader import read_machine_file
+from fuzzycnc_ros.machine_file.reader import is_axis_name, read_machine_file
 from fuzzycnc_ros.machine_file.writer import machine_text
 from fuzzycnc_ros.simulation.servo.axes import simulated_axis
 from fuzzycnc_ros.simulation.servo.axis_tuning import AxisTuning, axis_cases, tune_controller
@@ -48,6 +49,12 @@ __all__ = [
     'simulated_axis',
     'tune',
 ]
+
+DUTY_MAX = 1.0 + 1e-6
+"""Largest duty that is one, rounding included [-]."""
+
+SPEED_MAX = 10.0
+"""Speed of an axis that is likely [m/s]."""
 
 
 def read_axis(machine: str | os.PathLike[str], name: str) -> AxisData:
@@ -98,9 +105,30 @@ def identify(
     Raises
     ------
     ValueError
-        If there are too few samples, or the axis does not follow its duty.
+        If a figure is out of its bounds, there are too few samples, or the axis does not follow
+        its duty.
+
+    Warns
+    -----
+    UserWarning
+        If positions look like millimetres.
     """
     recording = AxisRecording(np.asarray(duty, float), np.asarray(position, float), period)
+    largest = float(np.abs(recording.command).max(initial=0.0))
+    if largest > DUTY_MAX:
+        raise ValueError(
+            f'duty: expected shares of the full drive, -1 to 1, but found {largest:g}; divide by '
+            'what the full drive is, such as 100 of %'
+        )
+    if force is not None and not force > 0.0:
+        raise ValueError(f'force: expected a number above 0 N but found {force:g} N')
+    fastest = float(np.abs(np.diff(recording.position)).max(initial=0.0)) / period
+    if fastest > SPEED_MAX:
+        warnings.warn(
+            f'position: expected metres, at most {SPEED_MAX:g} m/s, but found {fastest:.3g} m/s '
+            'between two samples; divide by 1000 if they are in millimetres',
+            stacklevel=2,
+        )
     _, _, data = identify_axis([recording], force=force)
     return data
 
@@ -123,8 +151,13 @@ def tune(axis: AxisData, *, seed: int = 0, generations: int = 8, population: int
     Raises
     ------
     ValueError
-        If the axis has no model.
+        If the axis has no model, or a number is out of its bounds.
     """
+    for argument, number, least in (
+        ('seed', seed, 0), ('generations', generations, 1), ('population', population, 1),
+    ):  # fmt: skip
+        if number < least:
+            raise ValueError(f'{argument}: expected {least} or more but found {number}')
     found = [
         tune_controller(axis, name, seed=seed, generations=generations, population=population)
         for name in AXIS_CONTROLLERS
@@ -148,6 +181,8 @@ def save_axis(axis: AxisData, path: str | os.PathLike[str], name: str) -> None:
     ------
     OSError
         If the file cannot be written.
+    ValueError
+        If the name is none of an axis.
 
     Examples
     --------
@@ -161,6 +196,8 @@ def save_axis(axis: AxisData, path: str | os.PathLike[str], name: str) -> None:
     >>> again.controller == axis.controller
     True
     """
+    if not is_axis_name(name):
+        raise ValueError(f'name: expected one such as X of letters and digits but found {name!r}')
     machine = MachineData(name=f'axis {name}', axes={name: axis})
     write_text(Path(path), machine_text(machine))
 

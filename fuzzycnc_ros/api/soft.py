@@ -237,6 +237,11 @@ def compensate(
     CompensatedPath
         Commanded points [m], offsets [m], flags and support.
 
+    Warns
+    -----
+    UserWarning
+        If no step is inside the domain of the model.
+
     Raises
     ------
     ValueError
@@ -255,4 +260,12 @@ def compensate(
     True
     """
     path = pattern if isinstance(pattern, StitchPath) else StitchPath.of_primitives(pattern)
-    return compensated(path, material, model, config)
+    found = compensated(path, material, model, config)
+    if found.refused.all():
+        warnings.warn(
+            f'pattern, material: expected steps like those that the model knows but none of '
+            f'{len(found.flag)} is: there is no compensation; depth, step and thickness '
+            f'({material.thickness:g} m) are in metres',
+            stacklevel=2,
+        )
+    return found

@@ -228,13 +228,18 @@ def _ini(reading: _Reading, found: Mapping[str, _Entry]) -> LinuxcncLimits:
     return limits
 
 
+def is_axis_name(name: str) -> bool:
+    """Whether a name is one of an axis: a letter, and up to seven letters and digits."""
+    return 0 < len(name) <= 8 and name.isalnum() and name[0].isalpha()
+
+
 def _axes(
     reading: _Reading, found: Mapping[str, _Entry], ini: LinuxcncLimits
 ) -> Iterator[tuple[str, AxisData]]:
     sections = _section(reading, found, 'axes')
     for axis in dict.fromkeys([*sections, *ini.axes]):
         place = f'axes.{axis}'
-        if not (len(axis) <= 8 and axis.isalnum() and axis[0].isalpha()):
+        if not is_axis_name(axis):
             raise reading.wrong(
                 sections[axis].line,
                 'axes',

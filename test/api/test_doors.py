@@ -16,6 +16,7 @@ import fuzzycnc_ros
 from fuzzycnc_ros import feedrate, servo, soft, thermal
 from fuzzycnc_ros.cli.foam.command import train
 from fuzzycnc_ros.core.feedrate.path.curves import infinity
+from fuzzycnc_ros.core.servo.profile import Reference
 from fuzzycnc_ros.machine_file.reader import built_in_path
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
@@ -132,6 +133,100 @@ def test_an_axis_of_a_machine_file_arrives():
     assert run.position[-1] == pytest.approx(1e-3, abs=2e-5)
     with pytest.raises(ValueError, match='expected one of X'):
         servo.read_axis('lathe', 'Q')
+
+
+def moved_for(duration=0.01, to=1e-3):
+    axis = servo.read_axis('lathe', 'X')
+    return servo.position(servo.controller(axis), servo.simulated_axis(axis), to, duration)
+
+
+@pytest.mark.parametrize('to', [10.0, -0.251, np.array([0.0, 0.1, 0.3, 0.1])])
+def test_an_axis_is_not_sent_beyond_its_travel(to):
+    if isinstance(to, np.ndarray):
+        to = Reference(to, 0.0 * to, 0.0 * to, 1e-3)
+    with pytest.raises(ValueError, match=r'reference: expected positions from -0.25 to 0.25 m'):
+        moved_for(to=to)
+
+
+@pytest.mark.parametrize('duration', [0.0, 1e-4, -1.0, np.nan, np.inf, 5e5])
+def test_a_move_takes_a_time(duration):
+    with pytest.raises(ValueError, match=r'duration: expected 0\.001 s, one period, to 3600 s'):
+        moved_for(duration)
+
+
+DUTY = np.repeat([0.3, -0.3, 0.1, -0.1], 300)
+
+
+@pytest.mark.parametrize(
+    ('changes', 'message'),
+    [
+        ({'duty': 100.0 * DUTY}, 'duty: expected shares of the full drive, -1 to 1, but found 30'),
+        ({'duty': DUTY[1:]}, 'position: expected one for each command'),
+        ({'period': 0.0}, 'period: expected more than 0 s but found 0.0 s'),
+        ({'period': -1e-3}, 'period: expected more than 0 s'),
+        ({'position': np.full(1200, np.nan)}, 'position: expected finite .* nan at sample 0'),
+        ({'force': 0.0}, 'force: expected a number above 0 N'),
+    ],
+)
+def test_a_recording_that_cannot_be_one_is_refused(changes, message):
+    known = {'duty': DUTY, 'position': 1e-6 * np.cumsum(DUTY), 'period': 1e-3}
+    with pytest.raises(ValueError, match=message):
+        servo.identify(**{**known, **changes})
+
+
+def test_positions_in_millimetres_are_doubted(monkeypatch):
+    monkeypatch.setattr(servo, 'identify_axis', lambda recordings, force: (None, None, 'data'))
+    speed = 0.1 * np.sign(DUTY)  # 0.1 m/s
+    assert servo.identify(DUTY, 1e-3 * np.cumsum(speed), 1e-3) == 'data'
+    with pytest.warns(UserWarning, match='position: expected metres, at most 10 m/s'):
+        servo.identify(DUTY, np.cumsum(speed), 1e-3)
+
+
+@pytest.mark.parametrize('changes', [{'seed': -1}, {'generations': 0}, {'population': 0}])
+def test_a_search_has_generations_and_candidates(changes):
+    with pytest.raises(ValueError, match=f'{next(iter(changes))}: expected . or more'):
+        servo.tune(servo.read_axis('lathe', 'X'), **changes)
+
+
+@pytest.mark.parametrize('name', ['', 'spindle nose', '1X'])
+def test_an_axis_is_written_under_a_name_that_is_read(name, tmp_path):
+    with pytest.raises(ValueError, match='name: expected one such as X'):
+        servo.save_axis(servo.read_axis('lathe', 'X'), tmp_path / 'mine.yaml', name)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    'changes',
+    [{'samples': 0}, {'samples': -4}, {'samples': 10**9}, {'machine_constant': 200.0}],
+)
+def test_a_schedule_has_bounds(changes):
+    limits = feedrate.MotionLimits(path_velocity=0.2, path_acceleration=1.5)
+    known = {'tolerance': 20e-6, 'machine_constant': 2e-4, 'limits': limits}
+    with pytest.raises(ValueError, match=f'{next(iter(changes))}: expected'):
+        feedrate.schedule([(0.0, 0.0), (0.01, 0.0)], **{**known, **changes})
+
+
+@pytest.mark.parametrize(
+    ('limits', 'name'),
+    [
+        ({'path_velocity': 200.0, 'path_acceleration': 1.5}, 'velocity'),
+        ({'path_velocity': 0.2, 'acceleration': (1.5, 2e4)}, 'acceleration'),
+    ],
+)
+def test_limits_in_millimetres_are_doubted(limits, name):
+    with pytest.warns(UserWarning, match=f'{name}: expected m/s.*divide by 1000'):
+        feedrate.schedule(
+            [(0.0, 0.0), (0.01, 0.001), (0.02, 0.0)], tolerance=20e-6, machine_constant=2e-4,
+            limits=feedrate.MotionLimits(**limits), samples=9,
+        )  # fmt: skip
+
+
+def test_a_sheet_that_the_model_does_not_know_is_doubted():
+    model = soft.train(*foam_samples(0), method='ridge')
+    line = soft.Primitive((0.02, 0.06), (0.12, 0.06), depth=0.006, step=0.003)
+    with pytest.warns(UserWarning, match='there is no compensation; depth, step and thickness'):
+        found = soft.compensate([line], model, soft.SheetMaterial(20.0))
+    assert not found.offset.any()
 
 
 def test_a_pattern_is_compensated_by_a_trained_model():

@@ -163,3 +163,20 @@ def test_convolution_and_length():
     first, second = RNG.normal(size=9), RNG.normal(size=4)
     np.testing.assert_allclose(portable.convolve(first, second), np.convolve(first, second))
     assert portable.norm(np.array([[3.0], [4.0]])) == 5.0
+
+
+@pytest.mark.parametrize('name', [*EXACT, 'arcsin', 'arccos', 'sin_cos', 'arctan2', 'power'])
+def test_large_arrays_get_the_digits_of_small_ones_in_their_own_order(name):
+    function = getattr(portable, name)
+    if name == 'power':
+        function = lambda x: portable.power(x, 1.6)  # noqa: E731
+    elif name == 'arctan2':
+        function = lambda x: portable.arctan2(x, 0.5 - x)  # noqa: E731
+    plain = RNG.uniform(0.01, 0.99, (90, 131))
+    for given in (plain, plain.T, np.repeat(plain, 2, axis=1)[::-1, ::2]):
+        expected = np.array([function(row) for row in given])  # each row is small
+        found = function(given)
+        if name == 'sin_cos':
+            found, expected = np.array(found), expected.swapaxes(0, 1)
+        np.testing.assert_array_equal(found, expected)
+    assert name == 'sin_cos' or function(plain.T).flags.f_contiguous

@@ -3,6 +3,7 @@
 """A connection to a Modbus device; here over TCP."""
 
 from abc import abstractmethod
+from collections import deque
 from collections.abc import Sequence
 from time import monotonic
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 from fuzzycnc_ros.adapters.modbus.registers import (
     Block,
     blocks,
+    jump,
     single_blocks,
     suspects,
     value_of,
@@ -37,6 +39,9 @@ EXCEPTIONS = {
 UNCHANGED_MAX = 600.0
 """Time for which a register may read the same to the bit after the connection begins, if it
 holds a float [s]."""
+
+COURSE = 8
+"""Different readings of a whole number by which its order is judged."""
 
 WRONG_MAP = (ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE)
 
@@ -77,6 +82,8 @@ class ModbusLink(Link):
         """What each register has read since the connection began, and when that was."""
         self._moved: set[int] = set()
         """Registers that have read something else since."""
+        self._course: dict[int, deque[list[int]]] = {}
+        """What registers of whole numbers have read, each time they changed."""
 
     @property
     def requests(self) -> int:
@@ -106,11 +113,26 @@ class ModbusLink(Link):
         return found
 
     def _reading(self, index: int, words: list[int]) -> Reading:
-        """Return the reading of a channel; a float has to change now and then."""
+        """Return the reading of a channel.
+
+        A float has to change now and then; a whole number may not jump that would be steady in
+        another order.
+        """
         item = self._device.channels[index]
         found = value_of(item, words)
-        judged = item.type.startswith('float') and item.name != SPINDLE
-        if not judged or index in self._moved or isinstance(found, str):
+        if item.name == SPINDLE or isinstance(found, str):
+            return found
+        if not item.type.startswith('float'):
+            course = self._course.setdefault(index, deque(maxlen=COURSE))
+            if not course or course[-1] != words:
+                course.append(words)
+            if len(course) == COURSE and (step := jump(item, course)):
+                return (
+                    f'jumps by {step:.3g} K from reading to reading, as no sensor does; '
+                    f'{suspects(item, words)}'
+                )
+            return found
+        if index in self._moved:
             return found
         first, since = self._first.setdefault(index, (words, monotonic()))
         if words != first:

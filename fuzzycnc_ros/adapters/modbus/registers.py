@@ -3,9 +3,9 @@
 """Values in Modbus registers: which registers to ask for together, and what they mean."""
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import pairwise, product
 
 from fuzzycnc_ros.adapters.readings.devices import FORMATS, SPINDLE, Register
 from fuzzycnc_ros.adapters.readings.plausible_value import no_temperature, scaled
@@ -98,19 +98,12 @@ def raw_of(item: Register, words: Sequence[int]) -> int | float:
 def suspects(item: Register, words: Sequence[int]) -> str:
     """Return what may be wrong in the device file, and what other orders would give."""
     others = []
-    of_words = ORDERS if item.count > 1 else (item.word_order,)
-    for word_order, byte_order in product(of_words, ORDERS):
-        if (word_order, byte_order) == (item.word_order, item.byte_order):
-            continue
-        other = replace(item, word_order=word_order, byte_order=byte_order)
+    for other in _other_orders(item):
         value = item.scale * raw_of(other, words) + item.offset
         changed = [
-            f'{name} {new}'
-            for name, new, old in (
-                ('word_order', word_order, item.word_order),
-                ('byte_order', byte_order, item.byte_order),
-            )
-            if new != old
+            f'{name} {getattr(other, name)}'
+            for name in ('word_order', 'byte_order')
+            if getattr(other, name) != getattr(item, name)
         ]
         others.append(f'{value:.5g} with {" and ".join(changed)}')
     orders = 'word_order, byte_order' if item.count > 1 else 'byte_order'
@@ -120,4 +113,43 @@ def suspects(item: Register, words: Sequence[int]) -> str:
     )
 
 
+def jump(item: Register, course: Sequence[Sequence[int]]) -> float:
+    """Return by how much readings jump [K] that are steady in another order; 0 if none are.
+
+    Parameters
+    ----------
+    item : Register
+        What the registers mean.
+    course : sequence of sequence of int
+        The registers in some readings, each other than the last.
+
+    Examples
+    --------
+    >>> rtd = Register(name='T1', table='input', register=0, type='int16', scale=0.1)
+    >>> round(jump(rtd, [[0xEB00], [0xEC00], [0xED00], [0xEC00]]), 3)  # 23.5, 23.6, 23.7, 23.6
+    25.6
+    """
+
+    def step(one: Register) -> float:
+        raw = [raw_of(one, words) for words in course]
+        return abs(item.scale) * sum(abs(b - a) for a, b in pairwise(raw)) / (len(raw) - 1)
+
+    found = step(item)
+    if found < JUMP or not any(STEADIER * step(other) < found for other in _other_orders(item)):
+        return 0.0
+    return found
+
+
+def _other_orders(item: Register) -> Iterator[Register]:
+    """Return what the registers would mean in other orders of words and bytes."""
+    of_words = ORDERS if item.count > 1 else (item.word_order,)
+    for word_order, byte_order in product(of_words, ORDERS):
+        if (word_order, byte_order) != (item.word_order, item.byte_order):
+            yield replace(item, word_order=word_order, byte_order=byte_order)
+
+
 ORDERS = ('big', 'little')
+
+JUMP, STEADIER = 8.0, 16.0
+"""Mean step between readings from which their order is doubted [K], and how much smaller it is in
+the right one [-]; to swap the bytes makes it 256 times as large."""

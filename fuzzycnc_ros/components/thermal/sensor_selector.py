@@ -7,16 +7,17 @@ being cut would move the compensation without any change of the machine.  So not
 until it is asked for.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from fuzzycnc_ros.components.thermal.kept_samples import KeptSamples
 from fuzzycnc_ros.core.config import Config, param
+from fuzzycnc_ros.core.remedies import Remedy, remedied
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
-from fuzzycnc_ros.core.thermal.sensor_limits import JUDGED
+from fuzzycnc_ros.core.thermal.sensor_limits import JUDGED, SensorLimits
 from fuzzycnc_ros.core.thermal.sensor_watch import SensorSelection as Selection
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
@@ -38,8 +39,13 @@ from fuzzycnc_ros.runtime.records import (
     nanoseconds,
 )
 
-RunReader = Callable[[str], ThermalRun]
-"""Reads the run in a bag."""
+
+class RunReader(Protocol):
+    """Reads the run in a bag."""
+
+    def __call__(self, bag: str, /, *, sensor_limits: Sequence[str]) -> ThermalRun:
+        """Return the run; its sensors have limits of their own."""
+
 
 PAUSE = nanoseconds(4 * 3600.0)
 """Machine time without a sample after which another run begins [ns]: the machine has cooled."""
@@ -58,6 +64,12 @@ class SensorSelectorConfig(Config):
     )
     refine: bool = param(True, '-', 'Whether better ranked members compete on held-out runs')
     seed: int = param(0, '-', 'Seed of the clustering', low=0, high=2**31 - 1)
+    sensor_limits: tuple[str, ...] = param(
+        (),
+        '-',
+        'Limits of single sensors in the bags, as SENSOR:LIMIT:VALUE, such as bed*:rate_max:0.7; '
+        'limits: range_low, range_high [degC], rate_max [K/s]',
+    )
 
 
 class SensorSelector(Component[SensorSelectorConfig]):
@@ -72,6 +84,7 @@ class SensorSelector(Component[SensorSelectorConfig]):
 
     def __init__(self, config: SensorSelectorConfig | None = None) -> None:
         super().__init__(config)
+        SensorLimits.of(self._config.sensor_limits)  # refused before it is asked for
         self.run_reader: RunReader | None = None
         """Reads calibration bags; the host sets it."""
         self._samples = KeptSamples[tuple[Temperatures, Displacement]](lambda pair: pair[0])
@@ -102,7 +115,8 @@ class SensorSelector(Component[SensorSelectorConfig]):
             runs = self._read(bags) if bags else [self._present_run()]
             chosen = self.select(runs, clusters)
         except ValueError as error:
-            return Answer(False, str(error))
+            refusal = remedied(error)
+            return Answer(False, str(error) if refusal is None else refusal.told(_with_parameter))
         self._selection = selection_record(chosen, stamp, self.frame('machine'))
         text = f'{", ".join(chosen.chosen)} from {", ".join(chosen.calibration)}'
         return Answer(True, text, (Emission('sensor_selection', self._selection),))
@@ -137,7 +151,8 @@ class SensorSelector(Component[SensorSelectorConfig]):
     def _read(self, bags: Sequence[str]) -> list[ThermalRun]:
         if self.run_reader is None:
             raise ThermalDataError('bag: this host cannot read bags; select from the present run')
-        return [self.run_reader(bag) for bag in bags]
+        limits = self._config.sensor_limits
+        return [self.run_reader(bag, sensor_limits=limits) for bag in bags]
 
     def _present_run(self) -> ThermalRun:
         """Return what was received so far as one run."""
@@ -160,6 +175,14 @@ class SensorSelector(Component[SensorSelectorConfig]):
             displacement=np.array([item.displacement for _, item in self._samples]),
             limits=JUDGED,
         )
+
+
+def _with_parameter(remedy: Remedy) -> str:
+    """Return a remedy with the parameter that does it, if there is one."""
+    limits = remedy.arguments.get('sensor_limits')
+    if limits is None:
+        return remedy.words
+    return f"{remedy.words}: parameter sensor_limits: ['{limits}']"
 
 
 def selection_record(selection: Selection, stamp: int, frame_id: str) -> SensorSelection:

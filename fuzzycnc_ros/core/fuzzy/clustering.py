@@ -20,6 +20,8 @@ from fuzzycnc_ros.core.estimator import ClusterEstimator, check_features, check_
 
 FUZZIFIER_MAX = 50.0
 """Largest fuzzifier; far above any use, and the powers of small memberships stay numbers."""
+_ROWS = 4
+"""Points whose products with all others are taken in one go."""
 
 
 class FuzzyPartition(ClusterEstimator, ABC):
@@ -51,7 +53,7 @@ class FuzzyPartition(ClusterEstimator, ABC):
         """
         check_fitted(self, 'cluster_centers_')
         samples = check_features(self, X, reset=False)
-        return np.asarray(_memberships_by_distance(self._squared_distances(samples), self.m).T)
+        return _memberships_by_distance(self._squared_distances(samples), self.m)[0].T
 
     def predict(self, X: ArrayLike) -> NDArray[np.int64]:  # noqa: N803
         """Return the cluster of highest membership of each sample, shape (n,)."""
@@ -102,12 +104,19 @@ def _raised(membership: Array, m: float) -> Array:
     return np.square(membership) if m == 2.0 else portable.power(membership, m)
 
 
-def _memberships_by_distance(distance: Array, m: float) -> Array:
-    """Return memberships by squared distances (..., c, n), [ding_zeng] eq. (7)."""
+def _memberships_by_distance(distance: Array, m: float) -> tuple[Array, Array]:
+    """Return memberships by squared distances (..., c, n), [ding_zeng] eq. (7), and their powers.
+
+    With nearness q, d_min over d, memberships are q^(1/(m-1)) / S, so that their m-th powers are
+    they themselves times q / S^(m-1).
+    """
     nearness = distance.min(axis=-2, keepdims=True) / distance
-    if m != 2.0:
-        nearness = portable.power(nearness, 1.0 / (m - 1.0))
-    return np.asarray(nearness / nearness.sum(axis=-2, keepdims=True))
+    share = nearness if m == 2.0 else portable.power(nearness, 1.0 / (m - 1.0))
+    total = share.sum(axis=-2, keepdims=True)
+    membership = share / total
+    if m == 2.0:
+        return membership, np.square(membership)
+    return membership, membership * (nearness / portable.power(total, m - 1.0))
 
 
 @dataclass(eq=False, repr=False)
@@ -207,10 +216,10 @@ class FuzzyCMeans(FuzzyPartition):
         # Centred so that samples far from the origin keep their digits.
         mean = self.cluster_centers_.mean(axis=0)
         points, centers = samples - mean, self.cluster_centers_ - mean
+        square = np.einsum('np,np->n', points, points)
+        own = np.einsum('cp,cp->c', centers, centers)
         return _squared_distance(
-            np.einsum('np,np->n', points, points),
-            portable.matmul(centers, points.T),
-            np.einsum('cp,cp->c', centers, centers),
+            square, portable.matmul(centers, points.T), own, _least_distance(square)
         )
 
 
@@ -222,39 +231,60 @@ def _iterate(
     Return the best and its history.
     """
     square = np.einsum('np,np->n', points, points)
-    products = portable.matmul(points, points.T) if len(points) <= points.shape[1] else None
+    least = _least_distance(square)
+    by_products = len(points) <= 2 * points.shape[1]
+    table = _products(points) if by_products else np.ascontiguousarray(points.T)
     membership = starts
+    weight = _raised(membership, m)
     active = np.arange(len(starts))
     history: list[list[float]] = [[] for _ in starts]
     final = np.empty_like(starts)
     for _ in range(max_iter):
-        weight = _raised(membership, m)
         share = weight / weight.sum(axis=2, keepdims=True)
-        if products is None:
-            centers = portable.matmul(share, points)
-            product = portable.matmul(centers, points.T)
-            own = np.einsum('rcp,rcp->rc', centers, centers)
-        else:
-            product = portable.matmul(share, products)
+        if by_products:
+            product = portable.matmul(share, table)
             own = np.einsum('rcn,rcn->rc', product, share)
-        distance = _squared_distance(square, product, own)
-        updated = _memberships_by_distance(distance, m)
-        objective = np.einsum('rcn,rcn->r', _raised(updated, m), distance)
+        else:
+            centers = np.einsum('rcn,pn->rcp', share, table)
+            product = portable.matmul(centers, table)
+            own = np.einsum('rcp,rcp->rc', centers, centers)
+        distance = _squared_distance(square, product, own, least)
+        updated, weight = _memberships_by_distance(distance, m)
+        objective = np.einsum('rcn,rcn->r', weight, distance)
         change = np.abs(updated - membership).max(axis=(1, 2))
         membership = updated
-        final[active] = updated
-        for start, value in zip(active, objective, strict=True):
-            history[start].append(float(value))
+        for start, value in zip(active.tolist(), objective.tolist(), strict=True):
+            history[start].append(value)
         going = change > tol
         if not going.all():
-            membership, active = membership[going], active[going]
+            final[active] = membership
+            membership, weight, active = membership[going], weight[going], active[going]
         if not len(active):
             break
+    final[active] = membership
     best = min(range(len(starts)), key=lambda start: history[start][-1])
     return final[best], np.array(history[best])
 
 
-def _squared_distance(square: Array, product: Array, own: Array) -> Array:
+def _products(points: Array) -> Array:
+    """Return the products of points with each other, shape (n, n), each of which is taken once."""
+    found = np.empty((len(points), len(points)))
+    for first in range(0, len(points), _ROWS):
+        part = np.einsum('np,mp->nm', points[first : first + _ROWS], points[first:])
+        found[first : first + _ROWS, first:] = part
+        found[first:, first : first + _ROWS] = part.T
+    return found
+
+
+def _least_distance(square: Array) -> float:
+    """Return a floor of squared distances, about what rounding leaves of the squared lengths.
+
+    A sample that sits on a centre does not divide by zero, and centres that coincide share it.
+    """
+    return float(np.finfo(np.float64).eps) * max(float(square.max(initial=0.0)), 1e-300)
+
+
+def _squared_distance(square: Array, product: Array, own: Array, least: float) -> Array:
     """Return squared distances of points to centres, shape (..., c, n).
 
     Parameters
@@ -265,13 +295,12 @@ def _squared_distance(square: Array, product: Array, own: Array) -> Array:
         Products of centres and points.
     own : ndarray, shape (..., c)
         Squared lengths of the centres.
+    least : float
+        Floor of what is returned.
     """
     distance = square - 2.0 * product
     distance += own[..., np.newaxis]
-    # Rounding leaves about 1e-16 of the square; a floor there keeps a sample that sits on a
-    # centre from dividing by zero, and lets centres that coincide share it equally.
-    floor = np.finfo(np.float64).eps * max(float(square.max(initial=0.0)), 1e-300)
-    return np.asarray(np.maximum(distance, floor))
+    return np.maximum(distance, least, out=distance)
 
 
 def _xie_beni(objective: float, centers: Array, samples: int) -> float:
@@ -486,29 +515,30 @@ def _iterate_with_norms(
     points: Array, seeds: Array, m: float, mixed: Array, share: float, max_iter: int, tol: float
 ) -> _Found:
     """Alternate memberships and centres [gustafson1978] (r, c, p); return the best start."""
-    apart = points - seeds[:, :, np.newaxis]
-    distance = (apart * apart).sum(axis=-1)
-    membership = _memberships_by_distance(np.maximum(distance, DISTANCE_MIN), m)
+    features = np.ascontiguousarray(points.T)
+    apart = features - seeds[..., np.newaxis]
+    distance = (apart * apart).sum(axis=-2)
+    membership, weight = _memberships_by_distance(np.maximum(distance, DISTANCE_MIN), m)
     starts = len(seeds)
     active = np.arange(starts)
     history: list[list[float]] = [[] for _ in range(starts)]
     last: list[tuple[Array, Array, Array, bool]] = [(seeds[0], seeds[0], seeds[0], False)] * starts
     for _ in range(max_iter):
-        weight = _raised(membership, m)
         total = weight.sum(axis=2, keepdims=True)
-        center = portable.matmul(weight, points) / total
-        apart = points - center[:, :, np.newaxis]
-        scatter = portable.matmul((weight[..., np.newaxis] * apart).swapaxes(-1, -2), apart)
+        center = np.einsum('rcn,pn->rcp', weight, features) / total
+        apart = features - center[..., np.newaxis]
+        scatter = np.einsum('rcpn,rcqn->rcpq', weight[:, :, np.newaxis] * apart, apart)
         factor = _norm_factor((1.0 - share) * scatter / total[..., np.newaxis] + mixed)
-        distance = np.maximum(np.square(portable.matmul(apart, factor)).sum(axis=-1), DISTANCE_MIN)
-        updated = _memberships_by_distance(distance, m)
-        objective = (_raised(updated, m) * distance).sum(axis=(1, 2))
+        along = np.einsum('rcpq,rcpn->rcqn', factor, apart)
+        distance = np.maximum(np.square(along).sum(axis=-2), DISTANCE_MIN)
+        updated, weight = _memberships_by_distance(distance, m)
+        objective = (weight * distance).sum(axis=(1, 2))
         change = np.abs(updated - membership).max(axis=(1, 2))
         for at, start in enumerate(active):
             history[start].append(float(objective[at]))
             last[start] = (updated[at], center[at], factor[at], bool(change[at] <= tol))
         going = change > tol
-        membership, active = updated[going], active[going]
+        membership, weight, active = updated[going], weight[going], active[going]
         if not len(active):
             break
     best = min(range(starts), key=lambda start: history[start][-1])

@@ -177,11 +177,34 @@ class AxisRecording:
         Measured position [m].
     period : float
         Time between two samples [s].
+
+    Raises
+    ------
+    ValueError
+        If the period is not above 0, the courses differ in length, or a number is not finite.
     """
 
     command: Array
     position: Array
     period: float
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.period < inf:
+            raise ValueError(f'period: expected more than 0 s but found {self.period} s')
+        shapes = np.shape(self.command), np.shape(self.position)
+        if shapes[0] != shapes[1] or len(shapes[0]) != 1:
+            raise ValueError(
+                f'position: expected one for each command but found the shapes {shapes[1]} and '
+                f'{shapes[0]}'
+            )
+        for name in ('command', 'position'):
+            values = getattr(self, name)
+            bad = np.flatnonzero(~np.isfinite(values))
+            if len(bad):
+                raise ValueError(
+                    f'{name}: expected finite numbers but found {values[bad[0]]} at sample '
+                    f'{bad[0]}'
+                )
 
     def part(self, first: int, last: int) -> AxisRecording:
         """Return the samples from `first` up to `last`."""

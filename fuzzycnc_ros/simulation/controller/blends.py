@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from math import acos, cos, hypot, inf, isnan, pi, sin, sqrt, tan
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.simulation.controller.moves import Moves
@@ -200,6 +199,71 @@ def move_limits(moves: Moves, limits: ControllerLimits) -> tuple[Array, Array]:
         return moves.length / slowest, moves.length / weakest
 
 
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """What is between moves that follow each other, n - 1 of them.
+
+    Attributes
+    ----------
+    along, inward : ndarray, shape (n - 1, 3)
+        The planes of the corners: unit vectors along the move before it, and across that to
+        where the next one goes.
+    change, across : ndarray, shape (n - 1, 3)
+        Size of the change of the unit tangents by axis, and lengths of the axes in the planes.
+    turn : list of float
+        [rad]
+    onward, aside : list of float
+        Parts of the unit vector along the move before it that lie along the next one, and along
+        what pulls that aside; of arcs as if they did not climb.
+    sense_out, sense_in : list of float
+        1 where the arc before it, and behind it, bends as the corner does, -1 if the other way;
+        0 out of its plane, and of lines.
+    """
+
+    along: Array
+    inward: Array
+    change: Array
+    across: Array
+    turn: list[float]
+    onward: list[float]
+    aside: list[float]
+    sense_out: list[float]
+    sense_in: list[float]
+
+    @staticmethod
+    def of(moves: Moves) -> Corners:
+        """Return the corners between moves."""
+        count = len(moves)
+        one, other = np.arange(count - 1), np.arange(1, count)
+        before = moves.tangent(one, np.ones(count - 1))
+        after = moves.tangent(other, np.zeros(count - 1))
+        cosine = np.einsum('ij,ij->i', before, after)
+        normal = _unit(np.cross(before, after))
+        # of lines the angle is what counts
+        sense_out = sense_in = aside = [0.0] * (count - 1)
+        onward = cosine.tolist()
+        if moves.arc.any():
+            axis = _unit(np.cross(moves.radial, moves.across))
+            sense_out, sense_in = _senses(axis[one], normal), _senses(axis[other], normal)
+            # overlapping moves are compared without what an arc climbs
+            level = replace(moves, rise=np.zeros_like(moves.rise), growth=np.zeros(count))
+            out = level.tangent(one, np.ones(count - 1))
+            into = level.tangent(other, np.zeros(count - 1))
+            onward = np.einsum('ij,ij->i', out, into).tolist()
+            aside = np.einsum('ij,ij->i', out, -_unit(moves.radial[other])).tolist()
+        return Corners(
+            before,
+            _unit(after - cosine[:, np.newaxis] * before),
+            np.abs(after - before),
+            np.sqrt(np.maximum(1.0 - normal**2, 0.0)),
+            np.arccos(np.clip(cosine, -1.0, 1.0)).tolist(),
+            onward,
+            aside,
+            sense_out,
+            sense_in,
+        )
+
+
 class Plan:
     """Moves from rest to rest, with the blends between them.
 
@@ -207,6 +271,8 @@ class Plan:
     ----------
     moves : Moves
         What the planner gets.
+    corners : Corners
+        Between them.
     limits : ControllerLimits
         Of the axes.
 
@@ -221,31 +287,16 @@ class Plan:
         where the next one goes.
     """
 
-    def __init__(self, moves: Moves, limits: ControllerLimits) -> None:
+    def __init__(self, moves: Moves, corners: Corners, limits: ControllerLimits) -> None:
         self._limits, self._period = limits, limits.period
-        count = len(moves)
-        one, other = np.arange(count - 1), np.arange(1, count)
-        before = moves.tangent(one, np.ones(count - 1))
-        after = moves.tangent(other, np.zeros(count - 1))
-        cosine = np.einsum('ij,ij->i', before, after)
-        turn = np.arccos(np.clip(cosine, -1.0, 1.0))
-        normal = np.cross(before, after)
+        self.along, self.inward = corners.along, corners.inward
+        self._turn, self._onward, self._aside = corners.turn, corners.onward, corners.aside
+        self._sense_out, self._sense_in = corners.sense_out, corners.sense_in
         rise = np.array(limits.acceleration)
-        self.along = before
-        self.inward = _unit(after - cosine[:, np.newaxis] * before)
-        self._turn = turn.tolist()
         # what a kink takes of the axes' acceleration, for each m/s^2 along the path
-        self._jump = (np.abs(after - before) / rise).max(axis=1).tolist()
-        self._rise = _in_plane(normal, rise).tolist()
-        self._flat = _in_plane(normal, np.array(limits.velocity)).tolist()
-        self._sense_out = _senses(moves, one, normal)
-        self._sense_in = _senses(moves, other, normal)
-        # overlapping moves are compared without what an arc climbs
-        level = replace(moves, rise=np.zeros_like(moves.rise), growth=np.zeros(count))
-        out = level.tangent(one, np.ones(count - 1))
-        into = level.tangent(other, np.zeros(count - 1))
-        self._onward = np.einsum('ij,ij->i', out, into).tolist()
-        self._aside = np.einsum('ij,ij->i', out, -_unit(moves.radial[other])).tolist()
+        self._jump = (corners.change / rise).max(axis=1).tolist()
+        self._rise = _in_plane(corners.across, rise).tolist()
+        self._flat = _in_plane(corners.across, np.array(limits.velocity)).tolist()
         most, gain = move_limits(moves, limits)
         self._most, self._gain = most.tolist(), gain.tolist()
         self._length, self._feed = moves.length.tolist(), moves.feed.tolist()
@@ -255,7 +306,7 @@ class Plan:
         self._height = np.linalg.norm(moves.rise, axis=1).tolist()
         self._angle = list(self._sweep)
         self.found: list[PlannedPart] = []
-        for index in range(count):
+        for index in range(len(moves)):
             self._add(index)
         _look_ahead(self.found, limits)
 
@@ -580,20 +631,18 @@ def _look_ahead(found: list[PlannedPart], limits: ControllerLimits) -> None:
         one.final = speed
 
 
+def _in_plane(across: Array, limit: Array) -> Array:
+    """Return the least limit of axes in planes, by the lengths of the axes in them, (m, 3)."""
+    with np.errstate(divide='ignore'):
+        return np.asarray((limit / across).min(axis=1))
+
+
 def _unit(vectors: Array) -> Array:
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.asarray(vectors / np.maximum(length, 1e-15))
 
 
-def _in_plane(normal: Array, limit: Array) -> Array:
-    """Return the least limit of axes in the planes across normals, (m, 3)."""
-    share = np.sqrt(np.maximum(1.0 - _unit(normal) ** 2, 0.0))
-    with np.errstate(divide='ignore'):
-        return np.asarray((limit / share).min(axis=1))
-
-
-def _senses(moves: Moves, index: NDArray[np.intp], normal: Array) -> list[float]:
+def _senses(axis: Array, normal: Array) -> list[float]:
     """Return 1 for arcs that bend as their corner does, -1 for the others; 0 out of its plane."""
-    axis = _unit(np.cross(moves.radial[index], moves.across[index]))
-    sense = np.einsum('ij,ij->i', axis, _unit(normal))
+    sense = np.einsum('ij,ij->i', axis, normal)
     return np.where(np.abs(sense) > 1.0 - 1e-9, np.sign(sense), 0.0).tolist()

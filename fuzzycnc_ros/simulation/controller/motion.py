@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import sqrt
@@ -17,6 +18,7 @@ from fuzzycnc_ros.simulation.controller.blends import (
     STOP,
     TANGENT,
     ControllerLimits,
+    Corners,
     Plan,
     PlannedPart,
 )
@@ -55,16 +57,34 @@ class Commanded:
     duration: float
 
 
-def command(moves: Moves, limits: ControllerLimits) -> Commanded:
-    """Return what a controller commands for moves that follow each other, from rest to rest.
+def chains(moves: Moves) -> list[tuple[Moves, Corners]]:
+    """Return moves as the planner gets them, and their corners: what no limit changes.
 
-    Lines are merged, corners passed as the path mode says, and the speed is as high as feeds,
-    axes, blends and look-ahead let it be; acceleration is not limited in its change.
+    Lines are merged, and moves cut where the program stands still.
 
     Parameters
     ----------
     moves : Moves
         At least one move; only the first one begins a path.
+    """
+    moves = merged(moves)
+    # there the planner is empty
+    last = np.flatnonzero(moves.stop[:-1]) + 1
+    edges = pairwise([0, *last.tolist(), len(moves)])
+    parts = [moves.chosen(np.arange(low, high)) for low, high in edges]
+    return [(part, Corners.of(part)) for part in parts]
+
+
+def command(path: Sequence[tuple[Moves, Corners]], limits: ControllerLimits) -> Commanded:
+    """Return what a controller commands for a path, from rest to rest.
+
+    Corners are passed as the path mode says, and the speed is as high as feeds,
+    axes, blends and look-ahead let it be; acceleration is not limited in its change.
+
+    Parameters
+    ----------
+    path : sequence of (Moves, Corners)
+        As `chains` returns them.
     limits : ControllerLimits
         Of the axes.
 
@@ -77,24 +97,19 @@ def command(moves: Moves, limits: ControllerLimits) -> Commanded:
     --------
     See `fuzzycnc_ros.simulation.controller.program.simulate`.
     """
-    moves = merged(moves)
-    # the planner is empty wherever the program stands still
-    last = np.flatnonzero(moves.stop[:-1]) + 1
-    parts = [
-        _chain(moves.chosen(np.arange(low, high)), limits)
-        for low, high in pairwise([0, *last.tolist(), len(moves)])
-    ]
-    position = np.concatenate([moves.start[:1], *(part.position for part in parts)])
-    place = np.concatenate([moves.place[:1, 0], *(part.place for part in parts)])
+    first = path[0][0]
+    parts = [_chain(moves, corners, limits) for moves, corners in path]
+    position = np.concatenate([first.start[:1], *(part.position for part in parts)])
+    place = np.concatenate([first.place[:1, 0], *(part.place for part in parts)])
     # joints get cubic splines of the planner's positions, and two periods later
     one, two, three = (np.pad(position, ((2 - k, k), (0, 0)), 'edge') for k in range(3))
     place = np.pad(place, 1, 'edge')
     return Commanded((one + 4.0 * two + three) / 6.0, place, limits.period * (len(place) - 1))
 
 
-def _chain(moves: Moves, limits: ControllerLimits) -> Commanded:
+def _chain(moves: Moves, corners: Corners, limits: ControllerLimits) -> Commanded:
     """Return what is commanded from one rest to the next, and while it stands there."""
-    plan = Plan(moves, limits)
+    plan = Plan(moves, corners, limits)
     run = _Run(plan, moves.rest.tolist(), limits)
     position, place = _evaluated(moves, plan, run, limits.period)
     return Commanded(position, place, limits.period * len(place))
@@ -355,24 +370,26 @@ class _Points:
             [(one.low, one.high, one.length) for one in found]
         ).T
         self._blend = np.array([one.blend is not None for one in found])
+        self._begin = moves.place[:, 0]
+        self._span = moves.place[:, 1] - moves.place[:, 0]
 
     def at(self, segment: NDArray[np.intp], way: Array) -> tuple[Array, Array]:
         """Return positions and places of ways inside segments."""
-        move, moves = self._move[segment], self._moves
+        move = self._move[segment]
         share = way / np.maximum(self.length[segment], 1e-15)
-        low, high, bent = self._low[segment], self._high[segment], self._blend[segment]
-        along = low + (high - low) * share
-        position = moves.position(move, np.where(bent, 0.0, along))
-        ends = moves.place[move, 0], np.diff(moves.place, axis=1)[move, 0]
-        place = ends[0] + ends[1] * along
+        low = self._low[segment]
+        along = low + (self._high[segment] - low) * share
+        place = self._begin[move] + self._span[move] * along
+        bent = self._blend[segment]
+        position = self._moves.position(move, np.where(bent, 0.0, along))
         rounded = np.flatnonzero(bent)
-        if len(rounded):
-            one = move[rounded]
-            begin = ends[0][rounded] + ends[1][rounded] * low[rounded]
-            end = moves.place[one + 1, 0]
-            end = end + np.diff(moves.place, axis=1)[one + 1, 0] * high[rounded]
-            place[rounded] = begin + (end - begin) * share[rounded]
-            position[rounded] = self._rounded(segment[rounded], way[rounded])
+        if not len(rounded):
+            return position, place
+        position[rounded] = self._rounded(segment[rounded], way[rounded])
+        one = move[rounded]
+        begin = self._begin[one] + self._span[one] * low[rounded]
+        end = self._begin[one + 1] + self._span[one + 1] * self._high[segment[rounded]]
+        place[rounded] = begin + (end - begin) * share[rounded]
         return position, place
 
     def _rounded(self, segment: NDArray[np.intp], way: Array) -> Array:

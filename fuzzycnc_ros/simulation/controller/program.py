@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from math import inf, nan
 
@@ -23,8 +24,8 @@ from fuzzycnc_ros.core.feedrate.gcode.segments import (
     LineSegment,
     Segment,
 )
-from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
-from fuzzycnc_ros.simulation.controller.motion import Commanded, command
+from fuzzycnc_ros.simulation.controller.blends import ControllerLimits, Corners
+from fuzzycnc_ros.simulation.controller.motion import Commanded, chains, command
 from fuzzycnc_ros.simulation.controller.moves import Moves
 
 _MODE = re.compile(r'[gG]\s*0*6\s*[14]')
@@ -137,6 +138,11 @@ class ProgramMoves:
         first = np.flatnonzero(self.moves.first)
         edge = np.append(first, len(self.moves))
         return [self.moves.chosen(np.arange(low, high)) for low, high in pairwise(edge)]
+
+    @cached_property
+    def chains(self) -> list[list[tuple[Moves, Corners]]]:
+        """Moves and corners of each path as the planner gets them, once for all limits."""
+        return [chains(run) for run in self.runs()]
 
 
 def program_moves(blocks: Iterable[Block], before: PathMode | None = None) -> ProgramMoves:
@@ -269,7 +275,7 @@ def simulate(moves: ProgramMoves, limits: ControllerLimits) -> list[Commanded]:
     >>> f'{found.duration:.3f} s'
     '0.314 s'
     """
-    return [command(run, limits) for run in moves.runs()]
+    return [command(path, limits) for path in moves.chains]
 
 
 def with_mode(moves: ProgramMoves, mode: PathMode) -> ProgramMoves:

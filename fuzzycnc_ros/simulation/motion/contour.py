@@ -19,6 +19,9 @@ _NEIGHBOURS = 3
 _BLOCK = 32_768
 """Segments searched in one go, as many as stay in the cache of a processor."""
 
+_SAMPLES = 4096
+"""Samples searched in one go, for the same reason."""
+
 _GROUP = 16
 """Segments that are passed over together where all of them are too far away."""
 
@@ -197,6 +200,16 @@ class Contour:
             raise ValueError('expected finite positions and arc lengths')
         if not (np.isfinite(reach) and reach > 0.0):
             raise ValueError(f'reach: expected more than 0 m but found {reach} m')
+        parts = range(0, max(len(arc), 1), _SAMPLES)
+        found = [
+            self._distance(place[first : first + _SAMPLES], arc[first : first + _SAMPLES], reach)
+            for first in parts
+        ]
+        square, arc_length = map(np.concatenate, zip(*found, strict=True))
+        return ContourDistance(np.sqrt(square), arc_length)
+
+    def _distance(self, place: Array, arc: Array, reach: float) -> tuple[Array, Array]:
+        """Return squared distances and arc lengths of the nearest points."""
         # segments whose ends both lie in the window, and always at least one
         low = np.searchsorted(self._vertex_arc, arc - reach, side='left')
         high = np.searchsorted(self._vertex_arc, arc + reach, side='right') - 1
@@ -207,8 +220,8 @@ class Contour:
         square[rest], fraction[rest], segment[rest] = self._whole_window(
             place[rest], low[rest], high[rest], square[rest]
         )
-        span = np.diff(self._vertex_arc)[segment]
-        return ContourDistance(np.sqrt(square), self._vertex_arc[segment] + fraction * span)
+        begin = self._vertex_arc[segment]
+        return square, begin + fraction * (self._vertex_arc[segment + 1] - begin)
 
     def _near_vertices(
         self, place: Array, low: NDArray[np.intp], high: NDArray[np.intp]

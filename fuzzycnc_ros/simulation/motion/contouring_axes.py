@@ -3,7 +3,7 @@
 """Axes of the simulated contouring machine: interpolator filter, position and velocity loop."""
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
@@ -109,18 +109,30 @@ class ContouringAxes:
             If the reference has another shape or is not finite.  The state is unchanged.
         """
         average = self._average(np.asarray(reference, dtype=np.float64))
+        lines = np.ascontiguousarray(average.T)  # by axis
         steps = self._config.control_steps
-        result = np.empty_like(average)
-        for axis in range(average.shape[1]):
-            course, velocity = self._axis_course(
-                np.repeat(average[:, axis], steps),
+        result = np.empty_like(lines)
+        done, count = 0, steps * len(average)
+        while done < count:
+            period = slice(done // steps, -(-(done + _STRETCH) // steps))
+            held = np.repeat(lines[:, period], steps, axis=1)[:, done % steps :][:, :_STRETCH]
+            course, speed, over = self._linear(held, self._position, self._velocity)
+            if over.any():
+                break
+            ends = slice(done // steps, (done + held.shape[1]) // steps)
+            result[:, ends] = course[:, (-1 - done) % steps :: steps]
+            self._position, self._velocity = course[:, -1].copy(), speed[:, -1].copy()
+            done += held.shape[1]
+        # from the first limit on each axis has stretches of its own
+        for axis in range(len(lines) if done < count else 0):
+            position, velocity = self._axis_course(
+                np.repeat(lines[axis], steps)[done:],
                 float(self._position[axis]),
                 float(self._velocity[axis]),
             )
-            result[:, axis] = course[steps - 1 :: steps]
-            if len(course):
-                self._position[axis], self._velocity[axis] = course[-1], velocity
-        return result
+            result[axis, done // steps :] = position[(-1 - done) % steps :: steps]
+            self._position[axis], self._velocity[axis] = position[-1], velocity
+        return np.ascontiguousarray(result.T)
 
     def _average(self, reference: Array) -> Array:
         """Return the causal moving average and remember what the next call needs of it."""
@@ -149,11 +161,14 @@ class ContouringAxes:
         course = np.empty(len(held))
         done = 0
         while done < len(held):
-            part, velocity = self._linear(held[done : done + _STRETCH], position, velocity)
-            course[done : done + len(part)] = part
-            done += len(part)
-            position = float(course[done - 1]) if done else position
-            if len(part) == _STRETCH or done == len(held):
+            ahead = held[done : done + _STRETCH]
+            part, speed, over = self._linear(ahead, np.array(position), np.array(velocity))
+            within = int(over.argmax()) if over.any() else len(ahead)
+            course[done : done + within] = part[:within]
+            done += within
+            if within:
+                position, velocity = float(part[within - 1]), float(speed[within - 1])
+            if within == _STRETCH or done == len(held):
                 continue
             ahead = held[done : done + _STRETCH]
             slow, velocity = self._limited(ahead, position, velocity, calm=_CALM)
@@ -162,24 +177,32 @@ class ContouringAxes:
             position = slow[-1]
         return course, velocity
 
-    def _linear(self, held: Array, position: float, velocity: float) -> tuple[Array, float]:
-        """Run the loop as a filter, up to where the first limit would be met."""
+    def _linear(
+        self, held: Array, position: Array, velocity: Array
+    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Run the loop as a filter along the last dimension.
+
+        Return positions and velocities, and where a limit would be met: from there on they are
+        not true.
+        """
         # Here, since `step` does without: half a second that a node saves when it starts.
-        from scipy.signal import lfilter, lfiltic
+        from scipy.signal import lfilter
 
         config = self._config
         period, (gain, damping) = config.control_period, config.loop
-        denominator = [1.0, damping + gain - 2.0, 1.0 - damping]
-        memory = lfiltic([gain], denominator, [0.0, -period * velocity])
-        relative, _ = lfilter([gain], denominator, held - position, zi=memory)
-        before = np.append(0.0, relative[:-1])
+        position, velocity = position[..., np.newaxis], velocity[..., np.newaxis]
+        last = 1.0 - damping
+        # a filter that was at 0 a step ago and came from -period * velocity
+        memory = np.concatenate([last * (period * velocity), np.zeros_like(velocity)], axis=-1)
+        away = held - position
+        relative, _ = lfilter([gain], [1.0, damping + gain - 2.0, last], away, zi=memory)
+        before = np.zeros_like(relative)
+        before[..., 1:] = relative[..., :-1]
         speed = (relative - before) / period
         change = np.diff(speed, prepend=velocity) / period
-        asked = config.position_gain * (held - position - before)
+        asked = config.position_gain * (away - before)
         over = (np.abs(asked) > config.velocity_max) | (np.abs(change) > config.acceleration_max)
-        count = int(over.argmax()) if over.any() else len(held)
-        last = float(speed[count - 1]) if count else velocity
-        return np.asarray(position + relative[:count]), last
+        return position + relative, speed, over
 
     def _limited(
         self, held: Array, position: float, velocity: float, *, calm: int

@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import fields, replace
-from math import copysign, isfinite, nan, pi
+from math import copysign, inf, isfinite, nan, pi
 from typing import Any
 
 import numpy as np
@@ -75,10 +75,13 @@ class AxisPlant(ABC):
         Control period [s].
     duty_max : float
         Largest magnitude of duty that the drive takes [-]; more is cut.
+    travel : tuple of float
+        Lowest and highest position that it is sent to [m].
     """
 
     period: float
     duty_max: float
+    travel: tuple[float, float] = (-inf, inf)
 
     @property
     @abstractmethod
@@ -555,4 +558,6 @@ def simulated_axis(data: AxisData, **changes: Any) -> AxisPlant:
                 f'{", ".join(sorted(names))}'
             )
     plant = replace(known, **changes)
-    return LatheAxis(plant) if isinstance(plant, LatheAxisConfig) else BallscrewAxis(plant)
+    axis = LatheAxis(plant) if isinstance(plant, LatheAxisConfig) else BallscrewAxis(plant)
+    axis.travel = data.limits.travel_low, data.limits.travel_high
+    return axis

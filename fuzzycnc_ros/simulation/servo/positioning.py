@@ -85,7 +85,10 @@ def settle_times(time: Array, error: Array, tolerance: float) -> Array:
 
 
 class DrivenAxis(Protocol):
-    """A driven axis of your own: a control period is `measure`, then `drive`."""
+    """A driven axis of your own: a control period is `measure`, then `drive`.
+
+    It may have a `travel` too, its lowest and highest position [m].
+    """
 
     @property
     def period(self) -> float:
@@ -101,6 +104,9 @@ class DrivenAxis(Protocol):
     def drive(self, duty: float) -> None:
         """Hold a duty, -1 to 1 of the full drive [-], for one period."""
 
+
+DURATION_MAX = 3600.0
+"""Longest run in one go [s]."""
 
 NEEDED = {
     'period': 'the control period [s]',
@@ -166,7 +172,8 @@ def position(
     TypeError
         If the plant lacks an attribute; the message says which and what it gives.
     ValueError
-        If the periods differ, or a step has no duration.
+        If the periods differ, a duration is none or longer than `DURATION_MAX`, a step has none,
+        or the reference leaves the travel of the plant.
 
     Examples
     --------
@@ -187,6 +194,18 @@ def position(
         if duration is None:
             raise ValueError('duration: expected a time for a step but found none')
         reference = step_reference(reference, plant.period)
+    if duration is not None and not plant.period <= duration <= DURATION_MAX:
+        raise ValueError(
+            f'duration: expected {plant.period:g} s, one period, to {DURATION_MAX:g} s but found '
+            f'{duration:g} s'
+        )
+    low, high = getattr(plant, 'travel', (-inf, inf))
+    beyond = reference.position[(reference.position < low) | (reference.position > high)]
+    if len(beyond):
+        raise ValueError(
+            f'reference: expected positions from {low:g} to {high:g} m, the travel of the axis, '
+            f'but found {beyond[0]:g} m; divide by 1000 if it is in millimetres'
+        )
     course = reference.over(duration)
     places, velocities, accelerations = (values.tolist() for values in course)
     count = len(places)

@@ -235,6 +235,8 @@ class Adviser:
         self._likely = 2  # index of the path mode that may be best: the least rounding
         self._limits, self._machine, self._settings = limits, machine, settings
         self._moves = program_moves(program.blocks, before)
+        # what is worked out for a path mode serves all accelerations
+        self._last = self._moves, PathMode(), with_mode(self._moves, PathMode())
         self._path = ProgramPath(self._moves)
         self._aim = tolerance / disagreement(self._moves.moves)
         self._modes = [
@@ -309,8 +311,15 @@ class Adviser:
 
     def _run(self, moves: ProgramMoves, share: float, mode: PathMode | None) -> Judged:
         """Judge moves with a share of the acceleration and a path mode."""
-        moves = moves if mode is None else with_mode(moves, mode)
-        return self._path.run(moves, self._slowed(share), self._machine)
+        return self._path.run(self._moded(moves, mode), self._slowed(share), self._machine)
+
+    def _moded(self, moves: ProgramMoves, mode: PathMode | None) -> ProgramMoves:
+        """Return moves with a path mode, the same at each call while they are the same."""
+        if mode is None:
+            return moves
+        if self._last[:2] != (moves, mode):
+            self._last = moves, mode, with_mode(moves, mode)
+        return self._last[2]
 
     def _try(
         self, moves: ProgramMoves, share: float, mode: PathMode | None, longest: float = np.inf
@@ -322,7 +331,7 @@ class Adviser:
         known = self._tried.get((share, mode)) if moves is self._moves else None
         if known is not None:
             return known if known.duration <= longest else None
-        moved = moves if mode is None else with_mode(moves, mode)
+        moved = self._moded(moves, mode)
         judged = self._path.run_within(longest, moved, self._slowed(share), self._machine)
         if moves is self._moves and judged is not None:
             self._tried[share, mode] = judged

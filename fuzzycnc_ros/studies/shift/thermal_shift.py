@@ -77,9 +77,11 @@ class Calibration:
     runs: tuple[ThermalRun, ...]
     bags: tuple[str, ...]
 
-    def read(self, bag: str) -> ThermalRun:
+    def read(self, bag: str, *, sensor_limits: Sequence[str]) -> ThermalRun:
         """Return the run of a bag."""
-        return self.runs[self.bags.index(bag)] if bag in self.bags else read_run(bag)
+        if bag in self.bags:
+            return self.runs[self.bags.index(bag)]
+        return read_run(bag, sensor_limits=sensor_limits)
 
 
 def record_calibration(

@@ -25,6 +25,15 @@ SHORTEST = 120.0
 SPEED_SHARE, SPEED_LEAST = 0.05, 1.0
 """Speeds are one while they differ by less than this share, or this much [-, rad/s]."""
 
+REST_SHARE = 0.01
+"""Share of the highest speed below which a spindle rests [-]: encoders are noisy."""
+
+PARTS_MAX = 6
+"""Most parts that a phase is cut into where the spindle stood and turned: more are a cycle."""
+
+OTHERWISE = 0.05
+"""Share of a phase from which short stops or turns in it are said [-]."""
+
 PHASES_MAX = 40
 """Most phases that are found by speed: more are a program, and no test."""
 
@@ -115,7 +124,7 @@ def find_phases(
                 f'{recording.name}: expected a mark that begins a phase before the last '
                 f'displacement at {last:.6g} s but found none; name phases by --phase'
             )
-    elif recording.speed is not None:
+    elif recording.speed is not None and np.isfinite(recording.speed).any():
         found = PhaseList(_by_speed(recording, recording.speed), 'found by the spindle speed')
     else:
         found = PhaseList(
@@ -150,21 +159,42 @@ def _as_measured(phase: Phase, recording: TestRecording, *, cut: bool) -> list[P
     if recording.speed is None:
         return [phase]
     known = np.isfinite(recording.speed)
-    time, speed = recording.time[known], recording.speed[known]
-    turned = bool((np.abs(speed[time < phase.start]) > SPEED_LEAST).any())
+    time, speed = recording.time[known], _rested(recording.speed[known])
+    turned = bool(speed[time < phase.start].any())
     parts = _rests(time, speed, phase)
-    if len(parts) > 1 and not cut:
+    if 1 < len(parts) and (not cut or len(parts) > PARTS_MAX):
         lasts = {turns: sum(p.duration for p, own in parts if own == turns) for _, turns in parts}
-        turns = lasts[True] >= lasts[False]
-        other = 'at rest' if turns else 'turning'
-        named = _named(phase, turns, turned, time, speed)
-        hours = lasts[not turns] / 3600.0
-        return [replace(named, name=f'{named.name}, {other} for {hours:.1f} h of it')]
+        parts = [(phase, lasts[True] >= lasts[False])]
     found = []
     for part, turns in parts:
-        found.append(_named(part, turns, turned, time, speed, always=len(parts) > 1))
+        named = _named(part, turns, turned, time, speed, always=len(parts) > 1)
+        found.append(_with_pauses(named, turns, time, speed))
         turned = turned or turns
     return found
+
+
+def _rested(speed: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return speeds of which those of a spindle at rest are 0."""
+    size = np.abs(speed)
+    if not len(size):
+        return speed
+    least = max(SPEED_LEAST, REST_SHARE * float(np.quantile(size, 0.99)))
+    return np.where(size > least, speed, 0.0)
+
+
+def _with_pauses(
+    phase: Phase, turns: bool, time: NDArray[np.float64], speed: NDArray[np.float64]
+) -> Phase:
+    """Return a phase that says how long the spindle did otherwise in it, if that is long."""
+    inside = (time >= phase.start) & (time < phase.end)
+    lasting = np.diff(time[inside], append=phase.end)
+    otherwise = float(lasting[(speed[inside] != 0.0) != turns].sum())
+    if otherwise < max(SHORTEST, OTHERWISE * phase.duration):
+        return phase
+    hours = f'{otherwise / 3600.0:.1f} h' if otherwise >= 360.0 else f'{otherwise / 60.0:.0f} min'
+    return replace(
+        phase, name=f'{phase.name}, {"at rest" if turns else "turning"} for {hours} of it'
+    )
 
 
 def _rests(
@@ -177,7 +207,7 @@ def _rests(
     inside = (time >= phase.start) & (time < phase.end)
     if not inside.any():
         return [(phase, kind_of(phase.name) == 'spindle')]
-    at, turns = time[inside], np.abs(speed[inside]) > SPEED_LEAST
+    at, turns = time[inside], speed[inside] != 0.0
     changes = np.flatnonzero(turns[1:] != turns[:-1]) + 1
     starts = [phase.start, *at[changes].tolist()]
     found: list[tuple[Phase, bool]] = []
@@ -191,7 +221,11 @@ def _rests(
             found[-1] = replace(found[-1][0], end=end), own
         else:
             found.append((replace(phase, start=start, end=end), own))
-    return found
+    if len(found) > 1:
+        return found
+    # short ones throughout: what it did for longer
+    lasting = np.diff(at, append=phase.end)
+    return [(found[0][0], bool(lasting[turns].sum() >= lasting[~turns].sum()))]
 
 
 def _named(
@@ -213,7 +247,7 @@ def _named(
     if not at_odds and not always:
         return replace(phase, kind=kind)
     inside = np.abs(speed[(time >= phase.start) & (time < phase.end)])
-    usual = float(np.median(inside[inside > SPEED_LEAST])) if turns else 0.0
+    usual = float(np.median(inside[inside > 0.0])) if turns else 0.0
     what = f'spindle at {60.0 * usual / (2.0 * pi):.0f} rpm' if turns else 'spindle at rest'
     return replace(phase, kind=kind, name=f'{phase.name}: {what}')
 
@@ -255,7 +289,7 @@ def _by_speed(recording: TestRecording, told: NDArray[np.float64]) -> tuple[Phas
     last = float(recording.time[-1])
     merged: list[tuple[float, float, float]] = []
     begin: float | None = None
-    for start, end, speed in _stretches(recording.time[known], told[known]):
+    for start, end, speed in _stretches(recording.time[known], _rested(told[known])):
         begin = start if begin is None else begin
         if end - begin >= SHORTEST:
             if merged and _alike(merged[-1][2], speed):

@@ -156,6 +156,27 @@ def test_a_float_that_never_changes_is_no_reading_and_one_that_did_is(field, pol
     wait(poller, lambda item: good(item) and item.readings[0] == pytest.approx(21.5, abs=1e-3))
 
 
+def test_whole_numbers_in_a_wrong_order_jump_and_are_no_reading(field, poll):
+    """A byte order that gives plausible temperatures at times: 27.0 degC reads 358.5."""
+    server = field.add(ModbusServer({0: swapped(270), 1: 270, 2: 270 << 4}))
+    whole = MODBUS.replace('    sensors', '    type: int16\n    scale: 0.1\n    sensors')
+    left = '{register: 2, scale: 0.00625}'  # bits to the left, steps of a tenth too
+    poller = poll(whole, server, f'{{T1: 0, T2: 1, T3: {left}}}')
+    assert wait(poller, good).readings[0] == pytest.approx(358.5)
+    for tenths in (271, 272, 271, 270, 269, 270, 271):
+        server.words |= {0: swapped(tenths), 1: tenths, 2: tenths << 4}
+        wait(poller, lambda item, now=tenths: good(item) and item.readings[1] == 0.1 * now)
+    wrong, *right = wait(
+        poller, lambda item: good(item) and isinstance(item.readings[0], str)
+    ).readings
+    assert wrong == (
+        'jumps by 25.6 K from reading to reading, as no sensor does; compare byte_order, type and '
+        'register with its manual (addresses count from 0); it would read 27.1 with byte_order '
+        'little'
+    )
+    assert right == pytest.approx([27.1, 27.1])
+
+
 def test_many_registers_take_several_requests(field, poll):
     server = field.add(ModbusServer({k: k for k in range(200)}))
     sensors = '{' + ', '.join(f'T{k}: {k}' for k in range(200)) + '}'

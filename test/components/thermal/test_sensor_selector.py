@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sensor selector: selects when it is asked to, from what it was given, and says why not."""
 
+import re
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -12,6 +15,7 @@ from fuzzycnc_ros.components.thermal import kept_samples
 from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector, SensorSelectorConfig
 from fuzzycnc_ros.core.thermal.fit import select_sensors
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
+from fuzzycnc_ros.core.thermal.sensor_limits import SensorLimits
 from fuzzycnc_ros.runtime.records import (
     Displacement,
     Temperatures,
@@ -30,7 +34,7 @@ def bench_with_bags(**changes) -> Bench:
     """Return a selector that finds the recordings by name."""
     selector = SensorSelector(SensorSelectorConfig(**changes))
 
-    def read(name: str) -> ThermalRun:
+    def read(name: str, *, sensor_limits: Sequence[str]) -> ThermalRun:
         if name not in recordings():
             raise ThermalDataError(f'bag {name}: not found')
         return recordings()[name]
@@ -178,6 +182,29 @@ def test_refusals_say_why(arguments, message):
     assert not answer.success
     assert message in answer.message
     assert bench.emitted == []
+
+
+def test_sensors_have_limits_of_their_own_in_bags_too():
+    hot = recordings()['D0']
+    name, warm = hot.sensor[0], hot.temperature.copy()
+    warm[:, 0] = warm[0, 0] + 40.0 * (warm[:, 0] - warm[0, 0])  # a heated bed among sensors
+
+    def read(bag: str, *, sensor_limits: Sequence[str]) -> ThermalRun:
+        return replace(hot, temperature=warm, limits=SensorLimits.of(sensor_limits))
+
+    bench = bench_with_bags()
+    bench.component.run_reader = read
+    answer = bench.request('select_sensors', bag=['D0'])
+    assert not answer.success
+    needed = re.search(r"parameter sensor_limits: \['(.*?)'\]", answer.message)
+    assert needed is not None, answer.message
+    own = (f'{name}:range_high:2000', f'{name}:rate_max:1000')
+    assert needed[1].rsplit(':', 1)[0] in {text.rsplit(':', 1)[0] for text in own}
+    bench = bench_with_bags(sensor_limits=own)
+    bench.component.run_reader = read
+    assert bench.request('select_sensors', bag=['D0']).success
+    with pytest.raises(ValueError, match='sensor_limits: expected'):
+        SensorSelector(SensorSelectorConfig(sensor_limits=('bed:hot:7',)))
 
 
 def test_host_without_bags_says_so():

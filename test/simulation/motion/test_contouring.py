@@ -89,6 +89,18 @@ def test_steps_and_pieces_give_what_the_whole_gives(reference, cut):
     np.testing.assert_allclose(steps.position, expected[-1], rtol=0, atol=1e-13)
 
 
+@pytest.mark.parametrize('steps', [4, 7])
+def test_axes_follow_alone_as_together_to_the_last_digit(steps):
+    config = ContouringConfig(control_steps=steps)
+    calm = circle(0.02, 0.1, 4.0)
+    jump = np.where(np.arange(len(calm)) < 1500, 0.0, 0.2)[:, None]  # meets limits
+    together = np.column_stack([calm, jump])
+    found = ContouringAxes(together[0], config).follow(together)
+    for axis, alone in enumerate(together.T):
+        expected = ContouringAxes(alone[:1], config).follow(alone[:, None])
+        np.testing.assert_array_equal(found[:, axis], expected[:, 0])
+
+
 @pytest.mark.parametrize('seed', range(3))
 def test_axes_keep_their_limits(seed):
     axes = ContouringAxes(np.zeros(3))

@@ -14,6 +14,7 @@ from thermal_test_bags import (
     DRIFT,
     HOUR,
     INTERVAL,
+    MARKS,
     REMOVED,
     RISE,
     TIME_CONSTANT,
@@ -312,6 +313,41 @@ def test_a_short_rest_or_run_up_belongs_to_its_phase(tmp_path):
 
     test = judged(write_test(tmp_path / 'test', speed=speed))
     assert [item.phase.name for item in test.phases] == ['environment', 'spindle 6000', 'cooling']
+
+
+@pytest.mark.parametrize('pause', [60.0, 100.0, 300.0])
+def test_pauses_of_a_cycle_are_told_in_the_name_of_its_phase(pause, tmp_path):
+    """Each is too short for a phase, or they are too many; together they are hours."""
+
+    def speed(at):
+        return 100.0 * np.pi if 2 * HOUR <= at < 6 * HOUR and at % (2 * pause) >= pause else 0.0
+
+    test = judged(write_test(tmp_path / 'test', speed=speed))
+    found = [(item.phase.name, item.phase.kind) for item in test.phases]
+    assert found == [
+        ('environment', 'environment'),
+        ('spindle 6000, at rest for 2.0 h of it', 'spindle'),
+        ('cooling', 'cooling'),
+    ]
+
+
+@pytest.mark.parametrize('marks', [(), MARKS])
+def test_noise_of_an_encoder_is_no_turning(marks, tmp_path):
+    rng = np.random.default_rng(0)
+
+    def speed(at):
+        return rng.normal(100.0 * np.pi if 2 * HOUR <= at < 6 * HOUR else 0.0, 1.2)
+
+    test = judged(write_test(tmp_path / 'test', marks=marks, speed=speed))
+    assert [item.phase.kind for item in test.phases] == ['environment', 'spindle', 'cooling']
+    assert not any('turning' in item.phase.name for item in test.phases)
+
+
+def test_a_speed_that_is_known_too_late_is_none(plain):
+    recording = read_test(plain)
+    unknown = np.full(len(recording.time), np.nan)
+    found = find_phases(replace(recording, speed=unknown, marks=()))
+    assert [item.name for item in found.phases] == ['whole recording']
 
 
 def test_a_speed_that_changes_within_a_phase_is_no_single_speed(tmp_path):

@@ -139,7 +139,7 @@ class SelectorTarget(CopiedTarget):
 
     def bench(self) -> Bench:
         bench = super().bench()
-        bench.component.run_reader = lambda name: self.run
+        bench.component.run_reader = lambda bag, sensor_limits: self.run
         return bench
 
     def good(self, name, stamp, rng):
