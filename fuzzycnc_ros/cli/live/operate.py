@@ -113,6 +113,9 @@ def status(machine: MachineName = 'mill', json_file: JsonFile = None) -> None:
             for axis, offset in zip(newest.axis, newest.offset, strict=True)
         )
         say(f'offsets in force: {offsets or "none"}')
+    for name in nodes:
+        for text in monitor.view(machine, name).learning:
+            say(f'{name}: {text}')
     keys = ('node', 'state', 'rate', 'latency_ms', 'health', 'trouble')
     write_json(json_file, {'nodes': [dict(zip(keys, row, strict=True)) for row in rows]})
 

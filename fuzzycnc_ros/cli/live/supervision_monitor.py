@@ -24,6 +24,8 @@ FIRST_HEARD = 8.0
 """Wall time [s] after which a machine of which nothing was heard has no nodes."""
 DISCOVERED = 0.5
 """Wall time [s] after which the nodes of a running machine have been found."""
+LEARNING = ('learning', 'probe due', 'band', 'first activation')
+"""Items that say how well the error is known, and what is followed of it."""
 _SPIN = 0.1
 
 
@@ -43,6 +45,8 @@ class NodeView:
         The worst of its items.
     trouble : tuple of str
         What its items above OK say, the worst first.
+    learning : tuple of str
+        What its items on learning from probes say.
     activity : dict
         Rate and latency.
     """
@@ -52,6 +56,7 @@ class NodeView:
     was_active: bool = False
     level: Level = Level.OK
     trouble: tuple[str, ...] = ()
+    learning: tuple[str, ...] = ()
     activity: dict[str, str] = field(default_factory=dict)
 
     @property
@@ -167,16 +172,19 @@ class Monitor:
         machine, _, node = array.status[0].name.partition(': ')[0].rpartition('/')
         view = self.view(machine, node)
         view.heard_at = time.monotonic()
-        found = []
+        found, learning = [], []
         for status in array.status:
             item = status.name.partition(': ')[2]
             if item == 'activity':
                 view.activity = {value.key: value.value for value in status.values}
             elif status.level[0]:
                 found.append((status.level[0], f'{item}: {status.message}'))
+            elif item in LEARNING:
+                learning.append(f'{item}: {status.message}')
         found.sort(key=lambda entry: -entry[0])
         view.level = Level(found[0][0]) if found else Level.OK
         view.trouble = tuple(text for _, text in found)
+        view.learning = tuple(learning)
 
 
 def _living(machine: str) -> set[str]:

@@ -18,6 +18,7 @@ from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureA
 from fuzzycnc_ros.runtime.enums import CompensationState, Status
 from fuzzycnc_ros.runtime.records import (
     SECOND,
+    ProbeEvidence,
     SensorCluster,
     SensorSelection,
     SpindleSpeed,
@@ -29,7 +30,7 @@ class CompensatorTarget(CopiedTarget):
     """A compensator that follows 3 um; half of the time one that has no read-back yet."""
 
     component = 'compensator'
-    inputs = ('machine_state', 'compensation_applied', 'thermal_error')
+    inputs = ('machine_state', 'compensation_applied', 'probe_evidence', 'thermal_error')
     step = 20 * SECOND
 
     def make(self) -> Bench:
@@ -52,6 +53,9 @@ class CompensatorTarget(CopiedTarget):
             return replace(machine_state(time), stamp=stamp)
         if name == 'compensation_applied':
             return replace(applied(time), stamp=stamp)
+        if name == 'probe_evidence':
+            axes = ('Y', 'Z')
+            return ProbeEvidence(stamp=stamp, axis=axes, channel=axes, evidence=np.zeros(2))
         return replace(thermal_error(time, (3e-6, -3e-6)), stamp=stamp)
 
     def recover(self, bench, stamp):
