@@ -28,6 +28,7 @@ from fuzzycnc_ros import feedrate, soft  # noqa: E402
 from fuzzycnc_ros.components.servo.controllers import CONTROLLERS  # noqa: E402
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly  # noqa: E402
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig  # noqa: E402
+from fuzzycnc_ros.core.thermal.band import WIDTH  # noqa: E402
 from fuzzycnc_ros.core.thermal.fit import train_model  # noqa: E402
 from fuzzycnc_ros.simulation.motion.contouring import identify_contour_constant  # noqa: E402
 from fuzzycnc_ros.simulation.servo.axes import LatheAxis  # noqa: E402
@@ -35,15 +36,18 @@ from fuzzycnc_ros.simulation.servo.positioning import position  # noqa: E402
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples  # noqa: E402
 from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet  # noqa: E402
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack  # noqa: E402
+from fuzzycnc_ros.simulation.thermal.mill import MILL_AXES  # noqa: E402
 from fuzzycnc_ros.studies.page.drawing import (  # noqa: E402
     AFTER,
     BEFORE,
+    FAINT,
     INK,
     MUTED,
     PALETTE,
     plot_style,
 )
 from fuzzycnc_ros.studies.page.html import to_inline_svg  # noqa: E402
+from fuzzycnc_ros.studies.shift.learnt_days import joined, learn_days  # noqa: E402
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration, run_shift  # noqa: E402
 
 LIGHT, DARK = (
@@ -86,6 +90,81 @@ def svg(figure: Any, motion: str = '') -> str:
         body = body.replace(name, f'clip-{number}')
     theme = THEME.replace('MOTION', motion)
     return f'{head} width="{width}" height="{height}">\n{theme}{body}\n'
+
+
+def learnt() -> str:
+    """Return three days of the mill: its error, what probes have taught of it, and the probes."""
+    days = learn_days()
+    whole = joined(days)
+    hours = whole.time / 3600.0
+    figure = Figure(figsize=(8.0, 4.6), layout='constrained')
+    figure.patch.set_alpha(0.0)
+    panels = figure.subplots(len(MILL_AXES), 1, sharex=True)
+    ends = np.cumsum([day.time[-1] for day in days]) / 3600.0
+    begins = [0.0, *ends[:-1]]
+    for c, (axis, axes) in enumerate(zip(MILL_AXES, panels, strict=True)):
+        center, half = 1e6 * whole.predicted[:, c], 1e6 * WIDTH * whole.deviation[:, c]
+        error = 1e6 * whole.error[:, c]
+        axes.fill_between(
+            hours,
+            center - half,
+            center + half,
+            color=FAINT,
+            alpha=0.35,
+            linewidth=0.0,
+            label='band: two deviations',
+        )
+        axes.plot(hours, error, color=BEFORE, linewidth=2.2, label='error of the mill')
+        axes.plot(hours, center, color=AFTER, linewidth=1.6, label='learnt from the probes')
+        axes.plot(
+            hours,
+            1e6 * whole.probed[:, c],
+            'o',
+            color=INK,
+            markersize=5.0,
+            label='probe, one an hour',
+        )
+        low, high = np.nanmin(error), np.nanmax(error)
+        room = high - low
+        axes.set_ylim(low - 0.55 * room, high + 0.3 * room)
+        axes.set_ylabel(f'error of {axis} [µm]')
+        for begin, end, day in zip(begins, ends, days, strict=True):
+            if begin:
+                axes.axvline(begin, color=MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
+            found = day.figures()[axis]
+            said = f'{found["uncompensated_rms_um"]:.1f} → {found["applied_rms_um"]:.1f} µm rms'
+            axes.annotate(
+                said,
+                (0.5 * (begin + end), 0.0),
+                (0, 4),
+                xycoords=('data', 'axes fraction'),
+                textcoords='offset points',
+                ha='center',
+                va='bottom',
+                color=AFTER,
+                size=11,
+                weight='bold',
+            )
+    for number, (begin, end) in enumerate(zip(begins, ends, strict=True), 1):
+        panels[0].annotate(
+            f'day {number}',
+            (0.5 * (begin + end), 1.0),
+            (0, -2),
+            xycoords=('data', 'axes fraction'),
+            textcoords='offset points',
+            ha='center',
+            va='top',
+            color=INK,
+            size=11,
+            weight='bold',
+        )
+    panels[-1].set_xlim(0.0, ends[-1])
+    panels[-1].set_xlabel(
+        'time in operation [h], each day from cold; rms: without compensation → with'
+    )
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc='outside upper left', ncol=4)
+    return svg(figure)
 
 
 def drift() -> str:
@@ -201,6 +280,7 @@ def sheet() -> str:
 
 
 PICTURES: dict[str, Callable[[], str]] = {
+    'learnt': learnt,
     'drift': drift,
     'feedrate': feeds,
     'servo': servo,

@@ -22,6 +22,7 @@ from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 from fuzzycnc_ros.studies.contour.contouring import SETTLE, run_contouring
 from fuzzycnc_ros.studies.published_bag import PublishedBag
+from fuzzycnc_ros.studies.shift.learnt_days import learn_days
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 
 SCRIPT = Path(recorded_scenarios.__file__)
@@ -98,13 +99,18 @@ def test_a_bag_replays_identical_on_the_oldest_processor(tmp_path):
     assert result_under(OLDEST, SCRIPT, 'replay', str(bag), str(GOLDEN)) == expected
 
 
-@pytest.mark.slow
-def test_the_hash_on_the_first_page_is_that_of_any_processor(tmp_path):
-    """The demo over DDS gives the same as a run in one process."""
+def contour_of_the_demo(sink):
     scheduler = FeedrateSchedulerConfig(tolerance=TOLERANCE, settle=SETTLE)
+    run_contouring(PATHS, scheduler, SimulatedMachineConfig(), sink=sink)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('run', [contour_of_the_demo, lambda sink: learn_days(sink=sink)])
+def test_the_hash_on_the_first_page_is_that_of_any_processor(tmp_path, run):
+    """The demo over DDS gives the same as a run in one process."""
     bag = tmp_path / 'bag'
     with PublishedBag(bag) as sink:
-        run_contouring(PATHS, scheduler, SimulatedMachineConfig(), sink=sink)
+        run(sink)
     ((identical, found),) = result_under(OLDEST, SCRIPT, 'replay', str(bag))
     assert identical
     page = Path(__file__).parents[2] / 'docs' / 'tutorials' / 'try-it.md'

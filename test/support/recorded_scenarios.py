@@ -23,6 +23,7 @@ from fuzzycnc_ros.runtime.graph import Sink
 from fuzzycnc_ros.studies.contour.contouring import run_contouring
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.servo.positioning import PositioningError, run_positioning
+from fuzzycnc_ros.studies.shift.learnt_days import learn_days
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration, run_shift
 from fuzzycnc_ros.studies.shift.whole_shift import ShiftSettings, run_whole_shift
 from fuzzycnc_ros.studies.soft.pattern import run_patterns
@@ -87,6 +88,10 @@ def _shift(models: Path, sink: Sink) -> object:
     return run_whole_shift((models / 'golden.json').read_text(), settings, sink=sink)
 
 
+def _learnt(models: Path, sink: Sink) -> object:
+    return learn_days(('T1',), sink=sink)
+
+
 METHODS = ('log_fuzzy', 'fuzzy', 'constant', 'normal_acceleration', 'chord_error')
 FORMS = ('lag_ridge', 'stable_grey', 'grey_anfis', 'hybrid_network_speed')
 
@@ -98,6 +103,7 @@ SCENARIOS: dict[str, Scenario] = {
     'selection': _selection,
     'shift': _shift,
     'ballscrew': _ballscrew,
+    'learnt': _learnt,
     **{f'contour {method}': _contour(method) for method in METHODS},
     **{f'positioning {name}': _positioning(name) for name in FOR_USE},
     **{f'thermal {form}': _thermal(form) for form in FORMS},

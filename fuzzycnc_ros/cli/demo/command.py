@@ -10,6 +10,7 @@ from typing import Annotated, Optional
 import typer
 
 from fuzzycnc_ros.cli.demo.contour import contour
+from fuzzycnc_ros.cli.demo.learn import learn
 from fuzzycnc_ros.cli.demo.linuxcnc import linuxcnc_demo
 from fuzzycnc_ros.cli.demo.pattern import pattern
 from fuzzycnc_ros.cli.demo.shift import whole_shift
@@ -26,6 +27,7 @@ class Scenario(str, Enum):
     """What the demo shows."""
 
     thermal = 'thermal'
+    learn = 'learn'
     contour = 'contour'
     pattern = 'pattern'
     shift = 'shift'
@@ -59,6 +61,11 @@ def demo(
     and compared, a report with plots, and the figures as JSON:
 
         fuzzycnc demo
+
+    Or watch a mill without any model learn its error from a probe an hour, over three days.  Each
+    begins cold; what was learnt is carried on, and compensates:
+
+        fuzzycnc demo --scenario learn --out build/learn
 
     Or watch its axes follow a curve at a contour error of 0.05 mm: the feed is scheduled, sent
     as a trajectory, and followed every millisecond:
@@ -95,6 +102,7 @@ def demo(
             return
         run: dict[Scenario, Play] = {
             Scenario.thermal: thermal,
+            Scenario.learn: learn,
             Scenario.contour: contour,
             Scenario.pattern: pattern,
             Scenario.shift: partial(whole_shift, program=text),

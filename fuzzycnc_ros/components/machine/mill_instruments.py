@@ -20,12 +20,7 @@ from fuzzycnc_ros.runtime.records import (
     nanoseconds,
 )
 from fuzzycnc_ros.simulation.thermal.duties import Duty
-from fuzzycnc_ros.simulation.thermal.mill import (
-    DISPLACEMENT_NOISE,
-    MILL_AXES,
-    MILL_SENSORS,
-    ThermalMill,
-)
+from fuzzycnc_ros.simulation.thermal.mill import MILL_AXES, MILL_SENSORS, ThermalMill
 from fuzzycnc_ros.simulation.thermal.sensor_faults import parse_sensor_fault
 
 if TYPE_CHECKING:
@@ -80,7 +75,8 @@ class MillInstruments:
         """
         interval = nanoseconds(self._config.displacement_interval)
         if since % interval < nanoseconds(self._config.tick_period):
-            measured = self._mill.measure_displacement()
+            noise = self._config.displacement_noise
+            measured = self._mill.measure_displacement(noise=noise)
             yield Emission(
                 'displacement',
                 Displacement(
@@ -89,7 +85,7 @@ class MillInstruments:
                     axis=MILL_AXES,
                     channel=MILL_AXES,
                     displacement=measured if offset is None else measured + offset,
-                    standard_deviation=np.full(len(MILL_AXES), DISPLACEMENT_NOISE),
+                    standard_deviation=np.full(len(MILL_AXES), noise),
                     includes_compensation=offset is not None,
                 ),
             )

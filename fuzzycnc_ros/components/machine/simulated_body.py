@@ -54,6 +54,7 @@ class SimulatedBodyConfig(Config):
     tick_period: float = same_param(SimulatedMachineConfig, 'tick_period')
     rate: float = param(1.0, '-', 'Speed of machine time; 1 is real time', low=0.01, high=1e4)
     displacement_interval: float = same_param(SimulatedMachineConfig, 'displacement_interval')
+    displacement_noise: float = same_param(SimulatedMachineConfig, 'displacement_noise')
     sensor_faults: tuple[str, ...] = same_param(SimulatedMachineConfig, 'sensor_faults')
     nodes: tuple[str, ...] = param(
         (

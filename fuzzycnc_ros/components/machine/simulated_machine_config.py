@@ -10,7 +10,7 @@ from typing import Any
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.thermal.duties import DUTIES, Duty, DutyBlock
-from fuzzycnc_ros.simulation.thermal.mill import RPM
+from fuzzycnc_ros.simulation.thermal.mill import DISPLACEMENT_NOISE, RPM
 
 WHOLE_SHIFT = Duty(
     'shift',
@@ -121,11 +121,13 @@ class SimulatedMachineConfig(Config):
     displacement_interval: float = param(
         60.0, 's', 'Machine time between two displacement measurements', low=0.1, high=3600.0
     )
+    displacement_noise: float = param(
+        DISPLACEMENT_NOISE, 'm', 'Standard deviation of their noise', low=1e-9, high=1e-4
+    )
     displacement_compensated: bool = param(
         False,
         '-',
-        'Measure displacements as a probe does, offsets in force included; else those of the '
-        'bare machine',
+        'Measure the machine as it is, offsets in force included; else without its offsets',
     )
     sensor_faults: tuple[str, ...] = param(
         (), '-', 'Sensor faults as sensor:kind:start[:value], start in s after a duty began'

@@ -450,13 +450,17 @@ class ThermalMill:
         """
         return mill_displacement(self._nodes - self._start)
 
-    def measure_displacement(self, rng: np.random.Generator | None = None) -> NDArray[np.float64]:
-        """Measure the displacement once, shape (2,): Y, Z [m], with 0.3 um of noise.
+    def measure_displacement(
+        self, rng: np.random.Generator | None = None, noise: float = DISPLACEMENT_NOISE
+    ) -> NDArray[np.float64]:
+        """Measure the displacement once, shape (2,): Y, Z [m].
 
         Parameters
         ----------
         rng : numpy.random.Generator, optional
             Source of the noise; the mill's own seeded stream if left out.
+        noise : float
+            Standard deviation of the measurement [m].
         """
         source = self._displacement_rng if rng is None else rng
-        return self.displacement() + source.normal(0.0, DISPLACEMENT_NOISE, len(MILL_AXES))
+        return self.displacement() + source.normal(0.0, noise, len(MILL_AXES))

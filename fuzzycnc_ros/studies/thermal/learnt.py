@@ -311,20 +311,47 @@ def learnt_chart(item: LearntRun) -> Chart:
     x, unit = time_axis(item.time)
     panels = []
     for c, channel in enumerate(item.channel):
-        center, half = 1e6 * item.predicted[:, c], 1e6 * WIDTH * item.deviation[:, c]
-        probes = np.where(item.probed[:, c], 1e6 * item.measured[:, c], np.nan)
-        panels.append(
-            Panel(
-                x,
-                Axis('thermal error', 'µm'),
-                [
-                    Series('measured', 1e6 * item.measured[:, c], MEASURED, 1.2),
-                    Series('learnt', center, AFTER, 1.2),
-                    Series('probes', probes, BEFORE, 4.0, kind='dots'),
-                ],
-                title=channel,
-                bands=[Band('band', center - half, center + half, FAINT)],
-                rules=[Rule(0.0, MUTED)],
-            )
-        )
+        known = item.predicted[:, c], item.deviation[:, c]
+        probed = np.where(item.probed[:, c], item.measured[:, c], np.nan)
+        panels.append(learnt_panel(x, channel, item.measured[:, c], known, probed))
     return Chart(Axis('time', unit), panels, columns=min(2, len(panels)), height=2.6)
+
+
+def learnt_panel(
+    x: Array,
+    channel: str,
+    error: Array,
+    known: tuple[Array, Array],
+    probes: Array,
+    rules: Sequence[Rule] = (),
+) -> Panel:
+    """Declare the error of a channel, its prediction with the band, and probes.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        Time.
+    channel : str
+        Name of the channel.
+    error : ndarray, shape (n,)
+        Error [m].
+    known : tuple of two ndarray, shape (n,)
+        Prediction and its standard deviation [m].
+    probes : ndarray, shape (n,)
+        Probed error [m]; NaN where there was no probe.
+    rules : sequence of Rule
+        Further lines.
+    """
+    center, half = 1e6 * known[0], 1e6 * WIDTH * known[1]
+    return Panel(
+        x,
+        Axis('thermal error', 'µm'),
+        [
+            Series('error', 1e6 * error, MEASURED, 1.2),
+            Series('learnt', center, AFTER, 1.2),
+            Series('probes', 1e6 * probes, BEFORE, 4.0, kind='dots'),
+        ],
+        title=channel,
+        bands=[Band('band', center - half, center + half, FAINT)],
+        rules=[Rule(0.0, MUTED), *rules],
+    )
