@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from fuzzycnc_ros.components.thermal.axis_trust import CAUTIOUS
 from fuzzycnc_ros.core.names import file_word
 from fuzzycnc_ros.ros.parameter_files import Section, parameter_files, sections, unread
 from fuzzycnc_ros.ros.presence import BODY, MACHINE, RIVALS, TIME_SOURCES, GraphError
@@ -25,7 +26,7 @@ THERMAL = ('temperature_acquisition', 'sensor_selector', 'thermal_predictor', 'c
 """Nodes of thermal compensation."""
 LEARNING: Mapping[str, dict[str, Any]] = {
     'thermal_predictor': {'learn': True},
-    'compensator': {'band_share': 0.5, 'first_share': 0.5},
+    'compensator': CAUTIOUS,
     MACHINE: {'displacement_interval': 3600.0, 'displacement_compensated': True},
 }
 """Parameters where the error is learnt from probes; a simulated machine is probed hourly."""

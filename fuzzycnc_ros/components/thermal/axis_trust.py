@@ -12,6 +12,9 @@ from fuzzycnc_ros.core.thermal.confirmation import is_right, is_wrong
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.records import Bools, Floats, Names, ProbeEvidence, Stamp, nanoseconds
 
+CAUTIOUS = {'band_share': 0.8, 'first_share': 0.5}
+"""Parameters of the compensator where the error is learnt from probes."""
+
 HEARD_AFTER = 600.0
 """Time [s] after which evidence counts, so that a replay takes it at the same error."""
 

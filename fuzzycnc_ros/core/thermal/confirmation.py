@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 
-CONFIRMED, CONTRADICTED = 1.0, -3.0
+CONFIRMED, CONTRADICTED = 0.5, -3.0
 """Evidence from which on the probes of a channel are right, or wrong [-]."""
 
 STEP_MAX = 2.0

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fuzzycnc_ros.components.machine.simulated_machine_config import MACHINE_DUTIES
+from fuzzycnc_ros.components.thermal.axis_trust import CAUTIOUS
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.band import WIDTH, coverage, mean_of_square
 from fuzzycnc_ros.runtime.records import SECOND
@@ -78,6 +79,7 @@ class LearntDay:
         left = {
             'uncompensated': self.error,
             'last_probe_held': self.error - self.held,
+            'learnt': self.error - np.nan_to_num(self.predicted),
             'applied': self.error + self.applied,
         }
         found = {f'{name}_rms_um': _rms(values) for name, values in left.items()}
@@ -107,7 +109,7 @@ def learning_parameters(days: Sequence[str] = DAYS, seed: int = 0) -> dict[str, 
     return {
         'temperature_acquisition': {},
         'thermal_predictor': {'learn': True, 'learn_axes': MILL_AXES, 'probe_noise': NOISE},
-        'compensator': {'axes': MILL_AXES},
+        'compensator': {'axes': MILL_AXES, **CAUTIOUS},
         'simulated_machine': {
             'duties': tuple(days),
             'seed': seed,
@@ -189,7 +191,8 @@ def days_table(days: Sequence[LearntDay]) -> Table:
         Column('Axis', numeric=False),
         Column('uncompensated'),
         Column('last probe held'),
-        Column('learnt and applied'),
+        Column('learnt'),
+        Column('applied'),
         Column('in band %'),
         Column('± µm at the end'),
     )
@@ -199,6 +202,7 @@ def days_table(days: Sequence[LearntDay]) -> Table:
             axis,
             f'{figures["uncompensated_rms_um"]:.1f}',
             f'{figures["last_probe_held_rms_um"]:.1f}',
+            f'{figures["learnt_rms_um"]:.1f}',
             f'{figures["applied_rms_um"]:.1f}',
             f'{100.0 * figures["in_band"]:.0f}',
             f'{figures["half_width_at_end_um"]:.1f}',
@@ -210,13 +214,13 @@ def days_table(days: Sequence[LearntDay]) -> Table:
 
 
 def days_line(days: Sequence[LearntDay]) -> str:
-    """Return in one sentence what the probes were worth once there was something to carry on."""
-    later = [figures for day in days[1:] or days for figures in day.figures().values()]
+    """Return in one sentence what the probes were worth on the last day."""
+    later = list(days[-1].figures().values())
     before, held, left = (
         max(figures[f'{name}_rms_um'] for figures in later)
         for name in ('uncompensated', 'last_probe_held', 'applied')
     )
-    when = 'From the second day on' if len(days) > 1 else 'On its first day'
+    when = f'On day {len(days)}'
     return (
         f'{when}, what one probe an hour has taught leaves at most {left:.1f} of {before:.1f} µm '
         f'(rms) on an axis; the same probes, each held until the next, leave {held:.1f} µm.'
@@ -281,7 +285,11 @@ def days_page(days: Sequence[LearntDay], facts: Mapping[str, str]) -> Page:
                     'Judged by the true error of the simulated mill, of which the nodes see the '
                     'probes alone. What is learnt is carried from day to day; a held probe '
                     'begins each day at zero, as the machine is cold.',
-                    'In band: share of the samples within two predicted standard deviations of '
+                    'An axis is followed once its band is narrower than its error: one after the '
+                    'other, the first half of it, until a probe has seen that offset.',
+                    'Learnt: the error less all of the prediction; applied: the error that the '
+                    'offsets in force leave. In band: share of the samples within two predicted '
+                    'standard deviations of '
                     'the prediction; ±: half the width of that band after the last sample.',
                 ),
                 figures=(

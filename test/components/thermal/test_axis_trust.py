@@ -9,6 +9,7 @@ import pytest
 from benches.component_bench import Bench, applied, machine_state, thermal_error
 from stepped_shift import Shift
 
+from fuzzycnc_ros.components.thermal.axis_trust import CAUTIOUS
 from fuzzycnc_ros.components.thermal.compensator import Compensator, CompensatorConfig
 from fuzzycnc_ros.core.thermal.confirmation import is_right, is_wrong
 from fuzzycnc_ros.runtime.records import (
@@ -66,7 +67,7 @@ def test_a_part_is_followed_until_probes_confirm_it():
     assert 'OK first activation: followed in part until a probe confirms it: Y 50 %' in (
         bench.health()
     )
-    told(bench, [0.9, 0.0], 90.0)
+    told(bench, [0.4, 0.0], 90.0)
     assert follow(bench, 700.0, 20.0) == pytest.approx(-10.0)
     told(bench, [1.0, 0.0], 750.0)
     assert follow(bench, 1349.0, 20.0) == pytest.approx(-10.0)
@@ -144,7 +145,7 @@ def learnt_shift(kind):
         change=change,
         probe_interval=1800.0,
         displacement_compensated=True,
-        compensator=CompensatorConfig(band_share=0.5, first_share=0.5),
+        compensator=CompensatorConfig(**CAUTIOUS),
         learn=True,
         learn_axes=('Y', 'Z'),
     ).run()
