@@ -68,9 +68,12 @@ class Config:
     GONE : mapping
         Parameters that earlier versions had, each with the value that is what is done now: a bag
         that says so is replayed.
+    INSTEAD : str
+        Words on what takes their place, which follow 'delete it'.
     """
 
     GONE: ClassVar[Mapping[str, Value]] = MappingProxyType({})
+    INSTEAD: ClassVar[str] = ''
 
     def __post_init__(self) -> None:
         """Check every field.

@@ -64,6 +64,12 @@ def declare(node: Node, *records: type[Config]) -> tuple[Config, ...]:
         and not node.has_parameter(name)
         and not name.startswith('qos_overrides.')
     )
+    gone = sorted(set(unknown).intersection(name for record in records for name in record.GONE))
+    if gone:
+        instead = ''.join(record.INSTEAD for record in records)
+        raise ParameterError(
+            f'parameter {", ".join(gone)}: earlier versions had it; delete it{instead}'
+        )
     if unknown:
         raise ParameterError(
             f'unknown parameter {", ".join(unknown)}; expected one of {", ".join(sorted(known))}'

@@ -89,6 +89,12 @@ def test_parameter_files(refused_at_once, text, naming):
     refused_at_once('--nodes', 'compensator', '--params', 'p', naming=naming)
 
 
+def test_a_parameter_of_earlier_versions_names_its_successor(refused_at_once):
+    write('p/some.yaml', '/**/thermal_predictor:\n  ros__parameters:\n    probing: kalman\n')
+    naming = ['parameter probing: earlier versions had it; delete it', 'learn: true']
+    refused_at_once('--nodes', 'thermal_predictor', '--params', 'p', naming=naming)
+
+
 @pytest.mark.parametrize(
     ('axis', 'naming'),
     [

@@ -17,6 +17,7 @@ class ThermalPredictorConfig(Config):
     GONE = MappingProxyType(
         {'probing': 'none', 'probe_jump_max': 10e-6, 'drift_limit': 4.0, 'adaptation': 0.0}
     )
+    INSTEAD = '; what probes correct is learnt now, with learn: true'
 
     model: str = param(
         '',
