@@ -28,7 +28,7 @@ MISSED_MAX = 3.0
 the machine is not what the probes before have taught."""
 
 
-KEPT = 24
+KEPT = 8
 """Probes before which can be gone back."""
 
 
@@ -114,6 +114,7 @@ class ProbeLearning:
             begun = memory.reference_stamp
         if begun and begun != since:
             self._learner.begin_run()
+            self._before.clear()
             self.news = True
         else:
             self._learner.rest()
@@ -215,8 +216,8 @@ class ProbeLearning:
         if mode is ForgetMode.UNDO:
             if not self._before:
                 raise ValueError(
-                    f'no probe to go back before: {KEPT} are kept, none over a restart; know '
-                    'less instead, or begin from nothing'
+                    f'no probe to go back before: {KEPT} are kept, none over a restart or a new '
+                    'thermal reference; know less instead, or begin from nothing'
                 )
             known = self._before.pop()
             self._learner.memory, self._probes, self.evidence = known
@@ -330,6 +331,10 @@ class ProbeLearning:
         text = f'{int(self._probes.max())} probes; known: {", ".join(known)}'
         level = Level.WARN if self._doubt else Level.OK
         items = [Health('learning', level, self._doubt or text, values)]
+        if (wrong := is_wrong(self.evidence)).any():
+            names = ', '.join(np.array(self._model.channel)[wrong])
+            text = f'{names}: probes do not see an offset as it is; they are not learnt'
+            items.append(Health('probes', Level.WARN, text))
         missed = np.array([item.missed for item in self._learner.posteriors])
         if (missed > MISSED_MAX).any():
             names = ', '.join(np.array(self._model.channel)[missed > MISSED_MAX])

@@ -170,6 +170,7 @@ def test_wrong_probes_from_the_first_one_on_do_not_feed_on_themselves(kind):
     assert not is_right(evidence_of(shift)).any()
     # Wrong by a factor of 25 they are beyond all bounds, and nothing is followed at all.
     assert is_wrong(evidence_of(shift)).any() or kind == 'inches'
+    assert ('they are not learnt' in shift.health[-1].get('probes', '')) == (kind != 'inches')
     # Half of what was learnt was told while it was tried, and nothing afterwards.
     assert np.abs(offsets).max() < 30.0
     assert not offsets[-1].any()

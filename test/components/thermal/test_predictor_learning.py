@@ -427,3 +427,11 @@ def test_nothing_to_forget_is_refused():
     answer = bench.request('forget', mode=ForgetMode.UNDO, why='x', by='anna')
     assert not answer.success
     assert 'no probe to go back before' in answer.message
+
+
+def test_a_probe_of_the_day_before_cannot_be_undone():
+    bench, run = learnt_bench()
+    next_day(bench, run, range(10))
+    answer = bench.request('forget', mode=ForgetMode.UNDO, why='x', by='anna')
+    assert not answer.success
+    assert 'none over a restart or a new thermal reference' in answer.message
