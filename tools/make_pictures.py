@@ -39,6 +39,7 @@ from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack  # noqa: E402
 from fuzzycnc_ros.simulation.thermal.mill import MILL_AXES  # noqa: E402
 from fuzzycnc_ros.studies.page.drawing import (  # noqa: E402
     AFTER,
+    ANOTHER,
     BEFORE,
     FAINT,
     INK,
@@ -112,10 +113,10 @@ def learnt() -> str:
             color=FAINT,
             alpha=0.35,
             linewidth=0.0,
-            label='band: two deviations',
+            label='its band',
         )
-        axes.plot(hours, error, color=BEFORE, linewidth=2.2, label='error of the mill')
-        axes.plot(hours, center, color=AFTER, linewidth=1.6, label='learnt from the probes')
+        axes.plot(hours, error, color=BEFORE, linewidth=2.2, label='error')
+        axes.plot(hours, center, color=AFTER, linewidth=1.6, label='learnt')
         axes.plot(
             hours,
             1e6 * whole.probed[:, c],
@@ -124,6 +125,8 @@ def learnt() -> str:
             markersize=5.0,
             label='probe, one an hour',
         )
+        left = error + 1e6 * whole.applied[:, c]
+        axes.plot(hours, left, color=ANOTHER, linewidth=1.6, label='left with compensation')
         low, high = np.nanmin(error), np.nanmax(error)
         room = high - low
         axes.set_ylim(low - 0.55 * room, high + 0.3 * room)
@@ -163,7 +166,7 @@ def learnt() -> str:
         'time in operation [h], each day from cold; rms: without compensation → with'
     )
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc='outside upper left', ncol=4)
+    figure.legend(handles, labels, loc='outside upper left', ncol=5)
     return svg(figure)
 
 

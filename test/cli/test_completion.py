@@ -65,7 +65,10 @@ def test_commands_are_proposed_without_loading_any(root):
         ('fuzzycnc si', ['simulate']),
         ('fuzzycnc servo st', ['stability']),
         ('fuzzycnc train --mod', ['--model', '--models']),
-        ('fuzzycnc demo --scenario ', ['thermal', 'contour', 'pattern', 'shift', 'linuxcnc']),
+        (
+            'fuzzycnc demo --scenario ',
+            ['thermal', 'learn', 'contour', 'pattern', 'shift', 'linuxcnc'],
+        ),
         ('fuzzycnc demo --scenario = sh', ['shift']),
         ('fuzzycnc train --model lag', ['lag_ridge', 'lag_ridge_speed']),
         ('fuzzycnc compare --models anfis,mlp', ['anfis,mlp', 'anfis,mlp_speed']),
