@@ -252,9 +252,9 @@ class ProbeLearning:
         """Return the errors (c,) that may be learnt, NaN for the others.
 
         Until probes are known to see an offset as it is, one that is taken under a large offset
-        says that and nothing else: of a wrong sign it would feed on itself.
+        is learnt only if it speaks for that: of a wrong sign it would feed on itself.
         """
-        spread = np.hypot(deviation, noise)
+        spread, before = np.hypot(deviation, noise), self.evidence.copy()
         for number in np.flatnonzero(np.isfinite(measured)):
             self.evidence[number] = judged(
                 float(self.evidence[number]),
@@ -262,7 +262,7 @@ class ProbeLearning:
                 float(spread[number]),
                 float(offset[number]),
             )
-        free = is_right(self.evidence) | (np.abs(offset) <= spread)
+        free = is_right(self.evidence) | (self.evidence > before) | (np.abs(offset) <= spread)
         return np.where(free & ~is_wrong(self.evidence), measured, np.nan)
 
     def _at(self, probed: Stamp, stamp: Stamp, predicted: Floats) -> Floats | None:
