@@ -97,9 +97,8 @@ def test_an_hourly_probe_leaves_less_with_the_model_than_without_it(figures):
         name: [channels[channel]['rms_um'] for channel in CHANNELS]
         for name, channels in probed['runs']['spindle'].items()
     }
-    for kind in ('offset', 'kalman'):
-        ratio = [a / b for a, b in zip(rows[kind], rows['held'], strict=True)]
-        assert max(ratio) < 0.7, ratio
-        # ch5 follows the speed within minutes, which an hourly probe cannot.
-        ratio = [a / b for a, b in zip(rows[kind], rows['unprobed'], strict=True)]
-        assert max(ratio[:4]) < 0.7, ratio
+    ratio = [a / b for a, b in zip(rows['learnt'], rows['held'], strict=True)]
+    assert max(ratio) < 0.7, ratio
+    # ch5 follows the speed within minutes, which an hourly probe cannot.
+    ratio = [a / b for a, b in zip(rows['learnt'], rows['unprobed'], strict=True)]
+    assert max(ratio[:4]) < 0.8, ratio
