@@ -16,6 +16,7 @@ Run with `python benchmarks/thermal_learning.py [--recordings DIR] [--markdown F
 """
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ ROWS = ('uncompensated', 'held', 'carried', 'learnt')
 COLUMNS = ('none', 'held', 'before probes', 'learnt', 'from run 5 on')
 BAND = ('covered', 'half_width')
 SETTLED, RUNS = 4, 6
+EVERY = (3600.0, 1800.0)
 
 
 def follow(machine: Machine, every: float, seeds: int) -> list[list[LearntRun]]:
@@ -68,27 +70,37 @@ def rows_of(machine: Machine, every: float, seeds: int) -> list[tuple[str, ...]]
     return rows
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description='Learning from probes, on all machines.')
+def arguments(description: str, seeds: int) -> argparse.Namespace:
+    """Return recordings, machines, seeds and file that were asked for."""
+    parser = argparse.ArgumentParser(description=description)
     parser.add_argument('--recordings', type=Path, action='append', default=[], metavar='DIR')
     parser.add_argument('--machine', action='append', default=[], metavar='NAME')
-    parser.add_argument('--seeds', type=int, default=20, metavar='N')
+    parser.add_argument('--seeds', type=int, default=seeds, metavar='N')
     parser.add_argument('--markdown', type=Path, metavar='FILE')
-    options = parser.parse_args()
-    header = ('machine', 'probed', *COLUMNS, *PHASES)
-    lines = ['| ' + ' | '.join(header) + ' |', '|' + ' --- |' * len(header)]
+    return parser.parse_args()
+
+
+def show(header: Sequence[str], rows: Sequence[Sequence[str]], file: Path | None) -> None:
+    """Print a table, and write it to a file where one is asked for."""
+    lines = ['| ' + ' | '.join(cells) + ' |' for cells in (header, *rows)]
+    lines.insert(1, '|' + ' --- |' * len(header))
+    text = '\n'.join(lines).replace('nan', '-') + '\n'
+    print(text, end='')
+    if file is not None:
+        write_text(file, text)
+
+
+def main() -> None:
+    """Print the table."""
+    options = arguments('Learning from probes, on all machines.', 20)
+    rows = []
     with progress_bar('learning') as tell:
         known = machines(options.recordings, 3, options.machine)
         for number, machine in enumerate(known):
-            for part, every in enumerate((3600.0, 1800.0)):
+            for part, every in enumerate(EVERY):
                 tell(machine.name, 2 * number + part, 2 * len(known))
-                for row in rows_of(machine, every, options.seeds):
-                    lines.append('| ' + ' | '.join(row).replace('nan', '-') + ' |')
-    text = '\n'.join(lines) + '\n'
-    print(text, end='')
-    if options.markdown is not None:
-        write_text(options.markdown, text)
+                rows += rows_of(machine, every, options.seeds)
+    show(('machine', 'probed', *COLUMNS, *PHASES), rows, options.markdown)
 
 
 if __name__ == '__main__':
