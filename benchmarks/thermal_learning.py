@@ -16,7 +16,7 @@ Run with `python benchmarks/thermal_learning.py [--recordings DIR] [--markdown F
 """
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +31,9 @@ COLUMNS = ('none', 'held', 'before probes', 'learnt', 'from run 5 on')
 BAND = ('covered', 'half_width')
 SETTLED, RUNS = 4, 6
 EVERY = (3600.0, 1800.0)
+
+RowsOf = Callable[[Machine, float, int], list[tuple[str, ...]]]
+"""Returns a machine's rows, probed at a time [s], with so many seeds."""
 
 
 def follow(machine: Machine, every: float, seeds: int) -> list[list[LearntRun]]:
@@ -90,9 +93,8 @@ def show(header: Sequence[str], rows: Sequence[Sequence[str]], file: Path | None
         write_text(file, text)
 
 
-def main() -> None:
-    """Print the table."""
-    options = arguments('Learning from probes, on all machines.', 20)
+def all_rows(options: argparse.Namespace, rows_of: RowsOf) -> list[tuple[str, ...]]:
+    """Return the rows of all machines that were asked for, at each time between two probes."""
     rows = []
     with progress_bar('learning') as tell:
         known = machines(options.recordings, 3, options.machine)
@@ -100,6 +102,13 @@ def main() -> None:
             for part, every in enumerate(EVERY):
                 tell(machine.name, 2 * number + part, 2 * len(known))
                 rows += rows_of(machine, every, options.seeds)
+    return rows
+
+
+def main() -> None:
+    """Print the table."""
+    options = arguments('Learning from probes, on all machines.', 20)
+    rows = all_rows(options, rows_of)
     show(('machine', 'probed', *COLUMNS, *PHASES), rows, options.markdown)
 
 

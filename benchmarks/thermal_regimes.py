@@ -31,10 +31,9 @@ from typing import NamedTuple
 from unittest.mock import patch
 
 import numpy as np
-from thermal_learning import EVERY, NOISE, arguments, follow, show
-from thermal_recordings import Machine, machines
+from thermal_learning import NOISE, all_rows, arguments, follow, show
+from thermal_recordings import Machine
 
-from fuzzycnc_ros.cli.console import progress_bar
 from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.fuzzy.clustering import FuzzyCMeans
 from fuzzycnc_ros.core.thermal.band import coverage
@@ -256,8 +255,8 @@ def inside(found: list[list[Judged]]) -> float:
     return 100.0 * float(np.nanmean(held))
 
 
-def row_of(machine: Machine, every: float, seeds: int) -> tuple[str, ...]:
-    """Return a machine's row of the table."""
+def rows_of(machine: Machine, every: float, seeds: int) -> list[tuple[str, ...]]:
+    """Return a machine's one row of the table."""
     found = ways_of(machine, every, seeds)
     plain = levels(found[NONE])
     cells = [f'{1e6 * np.exp(plain.mean()):.2f}']
@@ -266,19 +265,13 @@ def row_of(machine: Machine, every: float, seeds: int) -> tuple[str, ...]:
         mean = np.exp(np.log(ratio).mean())
         cells.append(f'{mean:.2f} ({ratio.min():.2f} to {ratio.max():.2f})')
     held = (f'{inside(found[name]):.0f}' for name in (NONE, CHOSEN))
-    return machine.name, f'{every / 60.0:g} min', *cells, ' / '.join(held)
+    return [(machine.name, f'{every / 60.0:g} min', *cells, ' / '.join(held))]
 
 
 def main() -> None:
     """Print the table."""
     options = arguments('What regimes are worth to learning from probes, on all machines.', 5)
-    rows = []
-    with progress_bar('learning') as tell:
-        known = machines(options.recordings, 3, options.machine)
-        for number, machine in enumerate(known):
-            for part, every in enumerate(EVERY):
-                tell(machine.name, 2 * number + part, 2 * len(known))
-                rows.append(row_of(machine, every, options.seeds))
+    rows = all_rows(options, rows_of)
     show(('machine', 'probed', *WAYS, 'in band %, none / chosen'), rows, options.markdown)
 
 

@@ -20,6 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from matplotlib import colormaps  # noqa: E402
+from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.collections import LineCollection  # noqa: E402
 from matplotlib.colors import ListedColormap  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
@@ -93,6 +94,24 @@ def svg(figure: Any, motion: str = '') -> str:
     return f'{head} width="{width}" height="{height}">\n{theme}{body}\n'
 
 
+def _say(
+    axes: Axes, text: str, at: tuple[float, float], offset: int, side: str, colour: str
+) -> None:
+    """Write at a time and a share of the height, some points above."""
+    axes.annotate(
+        text,
+        at,
+        (0, offset),
+        xycoords=('data', 'axes fraction'),
+        textcoords='offset points',
+        ha='center',
+        va=side,
+        color=colour,
+        size=11,
+        weight='bold',
+    )
+
+
 def learnt() -> str:
     """Return three days of the mill: its error, what probes have taught of it, and the probes."""
     days = learn_days()
@@ -136,31 +155,9 @@ def learnt() -> str:
                 axes.axvline(begin, color=MUTED, linewidth=0.8, linestyle=(0, (1, 2)))
             found = day.figures()[axis]
             said = f'{found["uncompensated_rms_um"]:.1f} → {found["applied_rms_um"]:.1f} µm rms'
-            axes.annotate(
-                said,
-                (0.5 * (begin + end), 0.0),
-                (0, 4),
-                xycoords=('data', 'axes fraction'),
-                textcoords='offset points',
-                ha='center',
-                va='bottom',
-                color=AFTER,
-                size=11,
-                weight='bold',
-            )
+            _say(axes, said, (0.5 * (begin + end), 0.0), 4, 'bottom', AFTER)
     for number, (begin, end) in enumerate(zip(begins, ends, strict=True), 1):
-        panels[0].annotate(
-            f'day {number}',
-            (0.5 * (begin + end), 1.0),
-            (0, -2),
-            xycoords=('data', 'axes fraction'),
-            textcoords='offset points',
-            ha='center',
-            va='top',
-            color=INK,
-            size=11,
-            weight='bold',
-        )
+        _say(panels[0], f'day {number}', (0.5 * (begin + end), 1.0), -2, 'top', INK)
     panels[-1].set_xlim(0.0, ends[-1])
     panels[-1].set_xlabel(
         'time in operation [h], each day from cold; rms: without compensation → with'

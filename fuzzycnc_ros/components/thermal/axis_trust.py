@@ -94,7 +94,8 @@ class AxisTrust:
         is largest over that.
         """
         tried = self.known & (self._part > 0.0) & ~is_right(self._evidence)
-        ratio = np.where(tried, size / self._half, -np.inf)
+        with np.errstate(divide='ignore', invalid='ignore'):  # a band of no width is known
+            ratio = np.where(tried, size / self._half, -np.inf)
         if self._turn is None or not ratio[self._turn] >= 1.0:
             self._turn = int(np.argmax(ratio)) if tried.any() else None
         if self._turn is not None:

@@ -32,14 +32,6 @@ KEPT = 8
 """Probes before which can be gone back."""
 
 
-class Owner(NamedTuple):
-    """What a posterior belongs to: file of the model, thermal reference, frame of the machine."""
-
-    model_hash: str
-    reference_stamp: Stamp
-    frame_id: str
-
-
 class _Known(NamedTuple):
     """All that was learnt at some time: memory, probes and evidence."""
 
@@ -300,15 +292,15 @@ class ProbeLearning:
             self._jump.state = blocks['jump']
         self._worked_at = stamp
 
-    def record(self, stamp: Stamp, owner: Owner) -> ThermalPosterior:
-        """Return all that was learnt so far."""
+    def record(self, stamp: Stamp, model_hash: str, frame_id: str) -> ThermalPosterior:
+        """Return all that was learnt so far, of the run under way."""
         assert self._learner is not None
         self.news = False
         return ThermalPosterior(
             stamp=stamp,
-            frame_id=owner.frame_id,
-            model_hash=owner.model_hash,
-            reference_stamp=owner.reference_stamp,
+            frame_id=frame_id,
+            model_hash=model_hash,
+            reference_stamp=self._since,
             interval=self._model.interval,
             input=self._model.inputs,
             axis=self._model.axis,
@@ -351,7 +343,7 @@ class ProbeLearning:
         assert self._learner is not None
         if self._probed_at is None or self._worked_at is None:
             return 'not probed yet since the start'
-        part = [self._learner.unknown(int(number)) for number in np.flatnonzero(wide)]
-        kind = max(part[0], key=lambda name: part[0][name])
+        parts = self._learner.unknown(int(np.argmax(wide)))
+        kind = max(parts, key=lambda name: parts[name])
         hours = (self._worked_at - self._probed_at) / SECOND / 3600.0
         return f'mostly unknown: {kind}; the last probe was {hours:.1f} h ago'

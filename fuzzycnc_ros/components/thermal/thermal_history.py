@@ -13,7 +13,7 @@ import numpy as np
 
 from fuzzycnc_ros.components.thermal.fade import Fade
 from fuzzycnc_ros.components.thermal.predictor_stream import Heard, PredictorStream
-from fuzzycnc_ros.components.thermal.probe_learning import Owner, ProbeLearning
+from fuzzycnc_ros.components.thermal.probe_learning import ProbeLearning
 from fuzzycnc_ros.components.thermal.sensor_substitution import RiseSource
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.names import text_hash
@@ -269,8 +269,7 @@ class ModelHistory:
         """
         if not self.learning.news or self._stream.reference is None:
             return None
-        owner = Owner(self.hash, self._stream.reference.stamp, frame_id)
-        return self.learning.record(stamp, owner)
+        return self.learning.record(stamp, self.hash, frame_id)
 
     def _step(self, heard: Heard) -> Floats | None:
         """Step the model; return the error [m], or None and set the reason."""

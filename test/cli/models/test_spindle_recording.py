@@ -101,4 +101,4 @@ def test_an_hourly_probe_leaves_less_with_the_model_than_without_it(figures):
     assert max(ratio) < 0.7, ratio
     # ch5 follows the speed within minutes, which an hourly probe cannot.
     ratio = [a / b for a, b in zip(rows['learnt'], rows['unprobed'], strict=True)]
-    assert max(ratio[:4]) < 0.8, ratio
+    assert max(ratio[:4]) < 0.75, ratio
