@@ -375,10 +375,15 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
         return fresh, []
 
     def restore(self, output: str, record: Record) -> None:
-        """Take back the checkpoint of an earlier life, and what it has learnt."""
+        """Take back the checkpoint of an earlier life, and what it has learnt.
+
+        Of another machine's memory all counts but that its probes are right.
+        """
         if isinstance(record, PredictorState):
             self._stream.checkpoint = record
         if isinstance(record, ThermalPosterior):
+            if record.frame_id != self.frame('machine'):
+                record = replace(record, evidence=np.zeros_like(record.evidence))
             self._stream.memory = record
 
     def on_sensor_selection(self, selection: SensorSelection) -> None:
