@@ -287,7 +287,7 @@ def _controller(
     if not known.machine:
         settings = _settings(params)
         check_controller(name, known.name, settings)
-        return make_controller(name, known.name, plant, settings)
+        return make_controller(name, known.name, settings)
     from fuzzycnc_ros.cli.axes.servo_machine import machine_controller
 
     return machine_controller(known.data, known.name, name, params)

@@ -18,7 +18,6 @@ from fuzzycnc_ros.cli.axes.servo_axis import (
     Out,
     check_axis,
     check_controller,
-    make_axis,
     make_controller,
     warnings_said,
 )
@@ -211,6 +210,7 @@ def tune(
         tune_machine_axis(machine_file, axis, out, work, jobs_of(jobs), json_file)
         return
     axis = axis or AXES[0]
+    from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
     from fuzzycnc_ros.simulation.servo.tuning import BOUNDS, production
     from fuzzycnc_ros.simulation.servo.tuning import tune as searched
     from fuzzycnc_ros.studies.servo.positioning_rules import default_cost, swinging, tuning_table
@@ -242,7 +242,7 @@ def tune(
         say('note: no better than the defaults; try more --generations or a larger --population')
     with warnings.catch_warnings():
         warnings.simplefilter('ignore')
-        best = production(make_axis(axis, {}).linear(), found.settings)
+        best = production(LatheAxisConfig().linear(), found.settings)
     for line in swinging(best):
         say(line)
     about = f'tuned on the simulated lathe axis, seed {seed}, {effort} generations'
@@ -330,7 +330,7 @@ def _built_in(axis: str, controller: str, params: Path | None) -> Any:
         )
     settings = read_settings(params) if params is not None else None
     check_controller(controller, axis, settings)
-    return make_controller(controller, axis, make_axis(axis, {}), settings, unstable=True)
+    return make_controller(controller, axis, settings, unstable=True)
 
 
 def _factors(texts: list[str]) -> tuple[float, ...]:
@@ -433,10 +433,13 @@ def learn(
         with_rules = lambda rules: make_axis_controller(data, WITH_RULES, own, rules)  # noqa: E731
     else:
         direction = -1.0 if reversed_axis else 1.0
-        plant = make_axis(axis, {'direction': ('--reversed', direction)})
-        controller = make_controller(DEFAULT, axis, plant)
+        controller = make_controller(DEFAULT, axis, direction=direction)
         with_rules = lambda rules: make_controller(  # noqa: E731
-            DEFAULT, axis, plant, ServoSettings(out, axis, rules=rules), unstable=True
+            DEFAULT,
+            axis,
+            ServoSettings(out, axis, rules=rules),
+            direction=direction,
+            unstable=True,
         )
     moves = read_csv(source, LENGTHS[unit]) if unit is not None else read_bag(source, name)
     size = controller.watch.limits.error_max

@@ -25,7 +25,6 @@ from fuzzycnc_ros.core.servo.observer import ObserverNoise
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning, VariableUniverseParams
 from fuzzycnc_ros.core.servo.stability import spectral_radii
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
-from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.lathe_axes import LatheMove
 from fuzzycnc_ros.simulation.servo.positioning import PositioningBatch, position_many
 
@@ -229,7 +228,7 @@ def _nominal(moves: Sequence[LatheMove]) -> tuple[list[LinearAxis], list[int]]:
     axes: list[LinearAxis] = []
     places = []
     for move in moves:
-        axis = LatheAxis(replace(move.config, gain_factor=1.0)).linear()
+        axis = move.config.linear()
         key = axis.a.tobytes(), axis.b.tobytes(), axis.c.tobytes()
         if key not in found:
             found[key] = len(axes)

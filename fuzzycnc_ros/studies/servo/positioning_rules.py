@@ -9,9 +9,9 @@ from dataclasses import asdict
 from math import isfinite, pi
 from typing import TYPE_CHECKING, Any
 
+from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.servo.stability import spectral_radii
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
-from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position_many
 from fuzzycnc_ros.simulation.servo.tuning import (
     GAIN_SPREAD,
@@ -136,6 +136,6 @@ def swinging(controller: VariableUniverseController) -> list[str]:
 
 def default_cost() -> float:
     """Return what the default settings cost on the moves of the search."""
-    moves, axis = tuning_moves(), LatheAxis().linear()
+    moves, axis = tuning_moves(), LatheAxisConfig().linear()
     batch = position_many([production(axis, {}) for _ in moves], moves, 1.5)
     return float(move_costs(batch).sum()) + swing_cost(production(axis, {}), 1.5)

@@ -37,7 +37,7 @@ def recorded(direction=1.0):
     rows, start = [], 1.0
     for seed, target in enumerate((-0.19, -0.05, 0.05, 0.19)):
         axis = LatheAxis(LatheAxisConfig(seed=seed, direction=direction))
-        run = position(PidController(axis.linear()), axis, target, 1.0)
+        run = position(PidController(axis.config.linear()), axis, target, 1.0)
         rows.append(np.column_stack([start + run.time, run.reference, run.measured, run.duty]))
         start += 2.0
     return np.concatenate(rows)
@@ -280,7 +280,7 @@ def test_tune_searches_for_as_many_generations_as_its_help_says(
 
 
 def test_settings_that_swing_off_the_nominal_gain_are_named():
-    axis = LatheAxis().linear()
+    axis = LatheAxisConfig().linear()
     assert swinging(VariableUniverseController(axis)) == []
     sharp = VariableUniverseParams(error_floor=0.025744, error_exponent=0.56426)
     (line,) = swinging(VariableUniverseController(axis, sharp))

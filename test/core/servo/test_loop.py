@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
+from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
 from fuzzycnc_ros.core.servo.axis import LinearAxis, response_lag
 from fuzzycnc_ros.core.servo.baselines import PidController
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
@@ -22,7 +22,7 @@ from fuzzycnc_ros.core.servo.profile import point_to_point
 from fuzzycnc_ros.core.servo.stability import spectral_radii, stability_report
 from fuzzycnc_ros.core.servo.stick_slip import StickSlipParams
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
-from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, LatheAxis
+from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.lathe_axes import LatheMove
 from fuzzycnc_ros.simulation.servo.positioning import PositioningRun, position, position_many
 from fuzzycnc_ros.simulation.servo.tuning import (
@@ -34,13 +34,13 @@ from fuzzycnc_ros.simulation.servo.tuning import (
     tuning_moves,
 )
 
-AXIS = LatheAxis().linear()
+AXIS = LatheAxisConfig().linear()
 SMOOTH = {'coulomb': 0.0, 'breakaway': 0.0}
 
 
 CHAINS = {
     'lathe': AXIS,
-    'ballscrew': BallscrewAxis().linear(),
+    'ballscrew': BallscrewAxisConfig().linear(),
     'one lag': LinearAxis.chain(-0.3, {'drive': 2e-3}, 0.02, period=1e-3),
     'one lag and sensor': LinearAxis.chain(
         0.3, {'drive': 2e-3}, 0.02, sensor_lag=3e-3, period=2e-3
