@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 from fuzzy_worth_rows import FUZZY, LAW, NOTHING, PLAIN, Part, Way
+from lathe_tuning import BOUNDS, production, tune
 from scipy.io import loadmat
 from scipy.optimize import differential_evolution
 
@@ -41,7 +42,6 @@ from fuzzycnc_ros.core.servo.variable_universe import (
 from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
 from fuzzycnc_ros.simulation.servo.lathe_axes import random_moves
 from fuzzycnc_ros.simulation.servo.positioning import PositioningRun, position, position_many
-from fuzzycnc_ros.simulation.servo.tuning import BOUNDS, production, tune
 from fuzzycnc_ros.studies.servo.servo_cases import ServoCase, drive_many
 
 SETTLED, LEFT = 'settled to 2 um [s]', 'error after 3 s [um]'
@@ -170,7 +170,7 @@ def lathe_ways(trials: int) -> Mapping[str, tuple[str, Make]]:
             return tunable.make(axis, **settings)
 
         found = tune(make, tunable.bounds, generations=generations, population=population)
-        ways[f'{name}, tuned'] = tunable.part, partial(made, tunable.make, axis, **found.settings)
+        ways[f'{name}, tuned'] = tunable.part, partial(made, tunable.make, axis, **found)
     return ways
 
 

@@ -87,7 +87,7 @@ def position(
     params: Annotated[
         OptionalPath,
         given(
-            'Settings of the controller, as `servo tune` and `servo learn` write them.',
+            'Rules as `servo learn` writes them, or settings of the controller.',
             metavar='FILE',
         ),
     ] = None,

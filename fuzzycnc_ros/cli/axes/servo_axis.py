@@ -71,29 +71,6 @@ def check_axis(axis: str) -> None:
         raise ValueError(f'--axis: expected one of {", ".join(AXES)} but found {axis!r}')
 
 
-def make_axis(axis: str, knobs: Mapping[str, tuple[str, Any]]) -> AxisPlant:
-    """Return a simulated axis.
-
-    Parameters
-    ----------
-    axis : str
-        Of `AXES`.
-    knobs : mapping of str to (str, value)
-        What is set of it: by parameter, the option that says so and its value.
-
-    Raises
-    ------
-    ValueError
-        If a value is out of its bounds; the message names the option.
-    """
-    from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
-    from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, LatheAxis
-
-    if axis == 'lathe':
-        return made_with(lambda **values: LatheAxis(LatheAxisConfig(**values)), knobs)
-    return made_with(lambda **values: BallscrewAxis(BallscrewAxisConfig(**values)), knobs)
-
-
 def made_with(make: Callable[..., AxisPlant], knobs: Mapping[str, tuple[str, Any]]) -> AxisPlant:
     """Return what is made with the values of knobs; refusals name their options."""
     try:

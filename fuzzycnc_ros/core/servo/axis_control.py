@@ -10,7 +10,7 @@ what the model does not know is found.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from math import inf, pi, sqrt
@@ -194,6 +194,33 @@ def _checked(name: str, given: Mapping[str, float]) -> dict[str, float]:
             )
     plain = {key: value for key, (_, _, value) in {**SETTINGS, 'friction': _FRICTION}.items()}
     return plain | dict(given)
+
+
+def setting_ranges(
+    data: AxisData, name: str, search: Iterable[str]
+) -> dict[str, tuple[float, float, float]]:
+    """Return lowest, highest and untuned value of settings, as `SETTINGS` has them.
+
+    Numbers of the universes are searched from a third to three times the untuned one.
+
+    Raises
+    ------
+    ValueError
+        If the controller has no such setting.
+    """
+    plain = _checked(name, {})
+    found: dict[str, tuple[float, float, float]] = {}
+    for key in search:
+        if key in SETTINGS:
+            found[key] = SETTINGS[key]
+            continue
+        _checked(name, {key: 1.0})
+        options = _universes(data, data.known_plant().linear(), plain)
+        value = options['noise' if key == DISTURBANCE else 'params']
+        untuned = float(getattr(value, key))
+        most = 1.0 if key.endswith('exponent') else 3.0 * untuned
+        found[key] = (untuned / 3.0, most, untuned)
+    return found
 
 
 Options = dict[str, Any]

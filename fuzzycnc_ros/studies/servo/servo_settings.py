@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of a position controller as a file: what tuning finds and what is learnt."""
+"""Numbers of a controller's universes, and rules that are learnt, as a file."""
 
 from __future__ import annotations
 
@@ -101,6 +101,11 @@ def read_settings(path: Path) -> ServoSettings:
     from fuzzycnc_ros.core.servo.rule_table import RuleTable
 
     document = construct(path, compose(path, 'a file of settings, YAML or JSON'))
+    if isinstance(document, dict) and 'axes' in document:
+        raise ValueError(
+            f"{path}: expected 'settings' or 'rules' but found the axes of a machine file, which "
+            'has the settings of its controllers; give it as machine file'
+        )
     if not isinstance(document, dict) or not document.keys() & {'settings', 'rules'}:
         raise ValueError(f"{path}: expected 'settings' or 'rules', or both, but found neither")
     _check_keys(path, '', document, _KEYS)
@@ -123,23 +128,16 @@ def read_settings(path: Path) -> ServoSettings:
     return ServoSettings(path, str(document.get('axis', '')), found, rules)
 
 
-def settings_text(
-    path: Path,
-    axis: str,
-    *,
-    numbers: Mapping[str, float] | None = None,
-    rules: RuleTable | None = None,
-    about: str,
-) -> str:
-    """Return the text of a file of settings: JSON if the path is called that, else YAML."""
-    document: dict[str, Any] = {'about': about, 'axis': axis}
-    if numbers is not None:
-        document['settings'] = {name: float(value) for name, value in numbers.items()}
-    if rules is not None:
-        document['rules'] = {
+def rules_text(path: Path, axis: str, rules: RuleTable, about: str) -> str:
+    """Return the text of a file of rules: JSON if the path is called that, else YAML."""
+    document = {
+        'about': about,
+        'axis': axis,
+        'rules': {
             'centres': list(rules.centres),
             'values': [[round(value, 6) for value in row] for row in rules.values],
-        }
+        },
+    }
     if path.suffix.lower() == '.json':
         return json.dumps(document, indent=2) + '\n'
     import yaml
