@@ -74,7 +74,7 @@ def step_time(
 def main() -> int:
     """Print all times; fail if the production step is too slow by ratio or differs."""
     axis = LatheAxis()
-    controller = VariableUniverseController(axis.linear())
+    controller = VariableUniverseController(axis.config.linear())
     run = position(controller, axis, -0.05, STEPS * 1e-3)
     error = run.reference - run.measured
     rate = -np.gradient(run.measured, controller.period)
@@ -83,7 +83,7 @@ def main() -> int:
     book, bare = textbook(controller), controller.law
     apart = max(abs(book(*pair) - bare(*pair)) for pair in pairs)
 
-    linear = axis.linear()
+    linear = axis.config.linear()
     controllers = {
         'static controller': VariableUniverseController(linear, mode='static'),
         'published recursion': VariableUniverseController(linear, mode='paper_literal'),

@@ -20,25 +20,28 @@ from typing import Any
 
 import numpy as np
 from fuzzy_worth_rows import FUZZY, LAW, NOTHING, PLAIN, Part, Way
+from lathe_tuning import BOUNDS, production, tune
 from scipy.io import loadmat
 from scipy.optimize import differential_evolution
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
+from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
 from fuzzycnc_ros.core.servo.axis import LinearAxis
-from fuzzycnc_ros.core.servo.ballscrew import BallscrewController
+from fuzzycnc_ros.core.servo.axis_control import make_controller
 from fuzzycnc_ros.core.servo.baselines import CascadeController, PidController
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 from fuzzycnc_ros.core.servo.observer import ObserverNoise
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning, VariableUniverseParams
 from fuzzycnc_ros.core.servo.profile import ProfileLimits, Reference, point_to_point
-from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
-from fuzzycnc_ros.papers.servo import FixedSurface, FixedUniverseController
-from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, LatheAxis
+from fuzzycnc_ros.core.servo.variable_universe import (
+    ContractedSurface,
+    FixedSurface,
+    VariableUniverseController,
+)
+from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
 from fuzzycnc_ros.simulation.servo.lathe_axes import random_moves
 from fuzzycnc_ros.simulation.servo.positioning import PositioningRun, position, position_many
-from fuzzycnc_ros.simulation.servo.tuning import BOUNDS, production, tune
 from fuzzycnc_ros.studies.servo.servo_cases import ServoCase, drive_many
 
 SETTLED, LEFT = 'settled to 2 um [s]', 'error after 3 s [um]'
@@ -142,12 +145,12 @@ def lathe_ways(trials: int) -> Mapping[str, tuple[str, Make]]:
     The shipped settings were all found by the same search, but for the tangent, whose are those of
     the rules.  It tunes for steps, gains from half to one and a half times nominal among them.
     """
-    axis = LatheAxis().linear()
+    axis = LatheAxisConfig().linear()
     params = VariableUniverseParams()
     ways: dict[str, tuple[str, Make]] = {
         'variable universe, the default': (FUZZY, lambda: VariableUniverseController(axis)),
         'its tangent': (LAW, lambda: VariableUniverseController(axis, tangent(params))),
-        'fixed universe': (FUZZY, lambda: FixedUniverseController(axis)),
+        'fixed universe': (FUZZY, lambda: make_controller('fixed_universe', axis)),
         'published recursion': (
             FUZZY, lambda: VariableUniverseController(axis, mode='paper_literal'),
         ),
@@ -167,7 +170,7 @@ def lathe_ways(trials: int) -> Mapping[str, tuple[str, Make]]:
             return tunable.make(axis, **settings)
 
         found = tune(make, tunable.bounds, generations=generations, population=population)
-        ways[f'{name}, tuned'] = tunable.part, partial(made, tunable.make, axis, **found.settings)
+        ways[f'{name}, tuned'] = tunable.part, partial(made, tunable.make, axis, **found)
     return ways
 
 
@@ -231,19 +234,35 @@ class LateBallscrew(BallscrewAxis):
         super().drive(late)
 
 
-class FixedBallscrew(BallscrewController):
-    """The ball screw's controller on universes that do not shrink, equal at the origin."""
+class EqualSurface(FixedSurface):
+    """The rules on universes that do not shrink, equal at the origin to those that do."""
 
-    def _check_params(self) -> None:
-        """Floors are of no use here."""
-
-    def _on_universes(self) -> FixedSurface:
-        p = self.params
+    def __init__(self, params: VariableUniverseParams, direction: float) -> None:
         ranges = {
-            'error_range': p.error_range * p.error_floor,
-            'rate_range': p.rate_range * p.rate_floor,
+            'error_range': params.error_range * params.error_floor,
+            'rate_range': params.rate_range * params.rate_floor,
         }
-        return FixedSurface(replace(p, **ranges), self._direction)
+        super().__init__(replace(params, **ranges), direction)
+
+
+def ballscrew(
+    bandwidth: float = 60.0,
+    observer_bandwidth: float = 240.0,
+    change: Callable[[VariableUniverseParams], VariableUniverseParams] = lambda p: p,
+    surface: type[ContractedSurface] = ContractedSurface,
+) -> VariableUniverseController:
+    """Return the production controller of the ball screw; bandwidths in rad/s."""
+    known = BallscrewAxisConfig()
+    axis, coulomb = known.linear(), known.coulomb_forward / known.force_max
+    return VariableUniverseController(
+        axis,
+        change(VariableUniverseParams.for_axis(axis, bandwidth, damping=1.0)),
+        noise=ObserverNoise.of_bandwidth(axis, observer_bandwidth),
+        surface=surface,
+        settle=3.0 / observer_bandwidth,
+        friction=(coulomb, coulomb),
+        limits=FeedbackLimits.of(axis, count=known.count, load=0.6),
+    )
 
 
 def with_friction(kind: type[AxisController]) -> type[AxisController]:
@@ -292,20 +311,10 @@ class Tunable:
     bounds: Mapping[str, tuple[float, float]]
 
 
-def _ballscrew(
-    change: Callable[[VariableUniverseParams], VariableUniverseParams],
-    kind: type[BallscrewController] = BallscrewController,
-) -> Callable[..., AxisController]:
-    def make(**settings: float) -> AxisController:
-        return kind(params=change(BallscrewController(**settings).params), **settings)
-
-    return make
-
-
 def _cascade(
     position_gain: float, velocity_gain: float, observer_bandwidth: float
 ) -> AxisController:
-    axis, known = BallscrewAxis().linear(), BallscrewAxisConfig()
+    axis, known = BallscrewAxisConfig().linear(), BallscrewAxisConfig()
     return with_friction(CascadeController)(
         axis,
         position_gain=position_gain,
@@ -317,19 +326,19 @@ def _cascade(
 
 
 def _pid(**settings: float) -> AxisController:
-    axis, known = BallscrewAxis().linear(), BallscrewAxisConfig()
+    axis, known = BallscrewAxisConfig().linear(), BallscrewAxisConfig()
     limits = FeedbackLimits.of(axis, count=known.count)
     return with_friction(PidController)(axis, integral_band=1e-2, limits=limits, **settings)
 
 
 _BANDWIDTHS = {'bandwidth': (15.0, 300.0), 'observer_bandwidth': (40.0, 1500.0)}
 
-VARIABLE = Tunable(FUZZY, _ballscrew(lambda p: p), _BANDWIDTHS)
+VARIABLE = Tunable(FUZZY, ballscrew, _BANDWIDTHS)
 
 TUNABLES: Mapping[str, Tunable] = {
     'variable universe': VARIABLE,
-    'tangent': Tunable(LAW, _ballscrew(tangent), _BANDWIDTHS),
-    'fixed universe': Tunable(FUZZY, _ballscrew(lambda p: p, FixedBallscrew), _BANDWIDTHS),
+    'tangent': Tunable(LAW, partial(ballscrew, change=tangent), _BANDWIDTHS),
+    'fixed universe': Tunable(FUZZY, partial(ballscrew, surface=EqualSurface), _BANDWIDTHS),
     'cascade': Tunable(
         PLAIN,
         _cascade,
@@ -369,7 +378,8 @@ def _lathe_tangent(
 
 def _lathe_fixed(axis: LinearAxis, disturbance: float, **settings: float) -> AxisController:
     noise = replace(ObserverNoise(), disturbance=disturbance)
-    return FixedUniverseController(axis, noise=noise, **settings)
+    params = VariableUniverseParams(**settings)
+    return VariableUniverseController(axis, params, noise=noise, surface=FixedSurface)
 
 
 def _lathe_cascade(axis: LinearAxis, disturbance: float, **settings: float) -> AxisController:
@@ -500,7 +510,7 @@ def ballscrew_courses(recording: Path | None, quick: bool) -> Part:
     ways: list[Way] = []
     notes = []
     makers: dict[str, tuple[str, Make]] = {
-        'variable universe, as shipped': (FUZZY, BallscrewController),
+        'variable universe, as shipped': (FUZZY, ballscrew),
     }
     trials = _trials(quick)
     for name, tunable in TUNABLES.items():
@@ -508,11 +518,8 @@ def ballscrew_courses(recording: Path | None, quick: bool) -> Part:
         notes.append(f'{name}: ' + ', '.join(f'{key} {one:.4g}' for key, one in settings.items()))
         makers[f'{name}, tuned'] = tunable.part, partial(made, tunable.make, **settings)
         if tunable is VARIABLE:
-            makers['its tangent'] = LAW, partial(made, _ballscrew(tangent), **settings)
-    shipped = BallscrewController().params
-    makers['observer and feedforward alone'] = (
-        NOTHING, lambda: made(BallscrewController, params=lawless(shipped)),
-    )  # fmt: skip
+            makers['its tangent'] = LAW, partial(made, ballscrew, change=tangent, **settings)
+    makers['observer and feedforward alone'] = NOTHING, partial(made, ballscrew, change=lawless)
     for name, (part, make) in makers.items():
         controller = make()
         driven = [_run(controller, config, reference) for config, reference in runs.values()]

@@ -137,7 +137,7 @@ def moves() -> str:
     rows, start = [], 1.0
     for seed, target in enumerate((-0.19, -0.05, 0.05, 0.19)):
         axis = LatheAxis(LatheAxisConfig(seed=seed))
-        run = position(PidController(axis.linear()), axis, target, 1.0)
+        run = position(PidController(axis.config.linear()), axis, target, 1.0)
         columns = zip(run.time, run.reference, run.measured, run.duty, strict=True)
         rows += [
             [f'{start + t:.3f}', f'{1e3 * r:g}', f'{1e3 * p:.6f}', f'{u:.6f}']

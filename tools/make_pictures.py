@@ -26,9 +26,9 @@ from matplotlib.colors import ListedColormap  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
 from fuzzycnc_ros import feedrate, soft  # noqa: E402
-from fuzzycnc_ros.components.servo.controllers import CONTROLLERS  # noqa: E402
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly  # noqa: E402
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig  # noqa: E402
+from fuzzycnc_ros.core.servo.axis_control import make_controller  # noqa: E402
 from fuzzycnc_ros.core.thermal.band import WIDTH  # noqa: E402
 from fuzzycnc_ros.core.thermal.fit import train_model  # noqa: E402
 from fuzzycnc_ros.simulation.motion.contouring import identify_contour_constant  # noqa: E402
@@ -247,7 +247,7 @@ def servo() -> str:
         ('variable universe with observer', AFTER, 'variable_universe'),
     ):
         plant = LatheAxis(LatheAxisConfig())
-        run = position(CONTROLLERS[choice](plant.linear()), plant, -50e-3, 1.5)
+        run = position(make_controller(choice, plant.config.linear()), plant, -50e-3, 1.5)
         away = 1e6 * np.abs(run.error)
         axes.semilogy(run.time, np.maximum(away, 0.1), color=colour, label=name)
     axes.yaxis.set_major_formatter('{x:g}')

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
+from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.servo.params import VariableUniverseParams
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
-from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.studies.pareto.pareto_path import CURVES, curve_path
 
 BENCHMARKS = Path(__file__).parents[2] / 'benchmarks'
@@ -55,7 +55,7 @@ def test_the_law_takes_the_place_of_the_rules_alone(worth, name):
 
 
 def test_the_tangent_is_linear_with_the_slopes_of_the_rules(worth):
-    params, axis = VariableUniverseParams(), LatheAxis().linear()
+    params, axis = VariableUniverseParams(), LatheAxisConfig().linear()
     linear = worth.worth_servo.tangent(params)
     assert linear.error_gain == pytest.approx(params.error_gain)
     assert linear.rate_gain == pytest.approx(params.rate_gain)

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from fuzzycnc_ros.cli import options
-from fuzzycnc_ros.cli.axes import position, servo
+from fuzzycnc_ros.cli.axes import position, servo, servo_axis
 from fuzzycnc_ros.cli.completion import join_bash_words
 from fuzzycnc_ros.cli.main import COMMANDS
 from fuzzycnc_ros.cli.programs import advise, pareto, schedule
@@ -157,8 +157,7 @@ def test_bash_cuts_an_option_at_its_sign_and_other_words_stay():
 def test_words_that_the_command_line_keeps_by_itself_are_those_of_the_sources():
     from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
     from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
-    from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS
-    from fuzzycnc_ros.simulation.servo.tuning import BOUNDS
+    from fuzzycnc_ros.core.servo import axis_control
     from fuzzycnc_ros.simulation.thermal.duties import DUTIES
     from fuzzycnc_ros.studies.contour.contouring import CONTOURING_PATHS
     from fuzzycnc_ros.studies.pareto.pareto import KNOBS
@@ -171,6 +170,9 @@ def test_words_that_the_command_line_keeps_by_itself_are_those_of_the_sources():
     assert pareto.CURVES == CONTOURING_PATHS
     assert advise.CORNER_CHOICES == CORNERS
     assert set(schedule.METHODS) == set(methods)
-    assert servo.SEARCHED == tuple(BOUNDS)
-    assert set(position.MACHINE_CHOICES) == set(AXIS_CONTROLLERS)
+    assert servo.SETTINGS == tuple(axis_control.SETTINGS)
+    further = (*axis_control.UNIVERSES, axis_control.DISTURBANCE)
+    assert servo.SEARCHED == (*servo.SETTINGS, *further)
+    assert servo_axis.CHOICES == axis_control.LATHE_CONTROLLERS
+    assert set(position.MACHINE_CHOICES) == set(axis_control.AXIS_CONTROLLERS)
     assert position.SENSORS == sensors

@@ -24,7 +24,6 @@ TRAINING = {
     'simulation/controller/blends.py': 'judges a part program; no bag holds what it gives',
     'simulation/controller/motion.py': 'likewise',
     'simulation/servo/axis_tuning.py': 'tunes',
-    'simulation/servo/tuning.py': 'tunes',
     'simulation/soft/foam_tracks.py': 'judges stitches',
 }
 """Modules whose results reach a machine as a model or settings only, with what they do."""

@@ -9,9 +9,9 @@ from dataclasses import replace
 import pytest
 
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
+from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
-from fuzzycnc_ros.core.servo.ballscrew import TUNED_BALLSCREW
+from fuzzycnc_ros.core.servo.ballscrew import BALLSCREW
 from fuzzycnc_ros.machine_file.doubts import machine_doubts
 from fuzzycnc_ros.machine_file.feeds import scheduler_parameters, simulated_loop
 from fuzzycnc_ros.machine_file.listing import machine_values
@@ -58,13 +58,7 @@ def test_what_is_written_is_read_again(machine, name):
 
 def test_built_in_machines_are_the_simulated_ones():
     assert read_machine_file('lathe').axes['X'].plant == LatheAxisConfig()
-    axis = read_machine_file('ballscrew').axes['X']
-    assert axis.plant == BallscrewAxisConfig()
-    assert (axis.controller, axis.settings) == (
-        TUNED_BALLSCREW.controller,
-        TUNED_BALLSCREW.settings,
-    )
-    assert axis.limits.load == TUNED_BALLSCREW.limits.load
+    assert read_machine_file('ballscrew').axes['X'] == BALLSCREW
     mill = read_machine_file('mill')
     assert simulated_loop(mill) == ContouringConfig()
     default = FeedrateSchedulerConfig()
@@ -206,7 +200,7 @@ def test_a_drive_has_to_reach_what_it_is_asked_for(machine):
 
 def test_a_plant_is_simulated_with_changes():
     axis = read_machine_file('lathe').axes['X']
-    assert simulated_axis(axis, direction=-1.0).linear().gain == -0.286
+    assert simulated_axis(axis, direction=-1.0).config.linear().gain == -0.286
     with pytest.raises(ValueError, match='expected a parameter of the model lags'):
         simulated_axis(axis, mass=3.0)
     with pytest.raises(ValueError, match='limits alone'):

@@ -5,8 +5,6 @@
 A. Janot, M. Gautier, M. Brunot: Data set and reference models of EMPS, 2019.
 """
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.io import loadmat
@@ -17,7 +15,7 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
     make_controllers,
 )
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
-from fuzzycnc_ros.core.servo.ballscrew import OBSERVER_BANDWIDTH, BallscrewController
+from fuzzycnc_ros.core.servo.ballscrew import ballscrew_controller
 from fuzzycnc_ros.core.servo.observer import ObserverDesign, ObserverNoise
 from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
 
@@ -62,6 +60,11 @@ def voltage_off(recording):
     return mismatch(recording, BallscrewAxisConfig())[1]
 
 
+def ruled(**settings):
+    """Return the production controller of the ball screw, with other settings."""
+    return ballscrew_controller('variable_universe', settings)
+
+
 def from_rest(reference):
     """Return a reference with the samples ahead of it, in which it sped up from rest.
 
@@ -100,7 +103,7 @@ def mismatch(recording, config):
 
 def follow(reference, controller=None, *, position=None, velocity=0.0, **knobs):
     """Following errors and duties of a controller on the axis, by default from rest."""
-    controller = controller or BallscrewController()
+    controller = controller or ruled()
     start = float(reference[0] if position is None else position)
     axis = BallscrewAxis(BallscrewAxisConfig(**knobs), position=start, velocity=velocity)
     speeds = np.gradient(reference, PERIOD)
@@ -173,7 +176,7 @@ def test_the_recorded_reference_began_at_rest_at_zero(recording, reference):
 
 def test_the_settings_keep_the_margins_of_the_recorded_loop(recording):
     # chosen on the nominal model alone: not faster than what the machine has been run with
-    model = BallscrewAxis().linear()
+    model = BallscrewAxisConfig().linear()
     dynamics, duty, _ = model.discrete()
     frequency = np.geomspace(5.0, 3000.0, 4000)
     unit = np.exp(1j * frequency * PERIOD)
@@ -187,8 +190,8 @@ def test_the_settings_keep_the_margins_of_the_recorded_loop(recording):
         return frequency[at], 180.0 + np.degrees(np.angle(loop[at]))
 
     recorded = states(dynamics, duty) @ [kv, kp * kv] / BallscrewAxisConfig().voltage_max
-    params = BallscrewController().params
-    design = ObserverDesign.of(model, ObserverNoise.of_bandwidth(model, OBSERVER_BANDWIDTH))
+    params = ruled().params
+    design = ObserverDesign.of(model, ObserverNoise.of_bandwidth(model, 240.0))
     row = np.array([-params.rate_gain, -params.error_gain, 1.0])
     estimator = (
         design.dynamics - np.outer(design.gain, design.reading) + np.outer(design.duty, row)
@@ -221,7 +224,7 @@ def test_without_friction_fed_forward_it_follows_too(reference):
     # the plain production controller with scaled universes
     bounds = {'nominal': (0.06, 0.007), 'mass': (0.08, 0.020), 'friction': (0.14, 0.017)}
     for name in HARDEST:
-        plain = BallscrewController(friction=0.0)
+        plain = ruled(friction=0.0)
         found = millimetres(follow(reference, plain, **CASES[name])[0])
         assert np.all(np.array(found) < bounds[name.split(' ')[0]])
 
@@ -238,9 +241,8 @@ def test_from_the_recorded_state_the_first_error_decides(recording):
 
 
 def test_what_the_fuzzy_surface_contributes(reference):
-    params = BallscrewController().params
     # left out: feedforward and observed disturbance alone hold no position
-    without = BallscrewController(params=replace(params, output_gain=1e-9))
+    without = ruled(output_gain=1e-9)
     largest, mean = millimetres(follow(reference, without)[0])
     assert largest > 0.15
     assert mean > 0.1
@@ -253,18 +255,17 @@ def test_what_the_fuzzy_surface_contributes(reference):
 def test_its_tangent_follows_as_well(reference, followed, name):
     # a proportional-derivative law with the surface's slopes at the origin, beside the same
     # feedforward and observer: in following, the surface does not matter further
-    params = BallscrewController().params
-    tangent = replace(
-        params,
+    params = ruled().params
+    tangent = ruled(
         error_range=1e4 * params.error_range,
         rate_range=1e4 * params.rate_range,
         output_gain=1e4 * params.output_gain,
         error_exponent=1.0,
         rate_exponent=1.0,
     )
-    assert tangent.error_gain == pytest.approx(params.error_gain)
-    assert tangent.rate_gain == pytest.approx(params.rate_gain)
-    linear = follow(reference, BallscrewController(params=tangent), **CASES[name])[0]
+    assert tangent.params.error_gain == pytest.approx(params.error_gain)
+    assert tangent.params.rate_gain == pytest.approx(params.rate_gain)
+    linear = follow(reference, tangent, **CASES[name])[0]
     assert millimetres(linear) == pytest.approx(millimetres(followed[name][0]), rel=0.02)
 
 
@@ -300,15 +301,15 @@ def test_pulses_of_half_the_drive_are_borne(recording, volts, sign):
     """As the real machine bore them, and by the node's default better than under its own law."""
     reference = from_rest(recording['qg'])[:8000]
     tuned = make_controllers(ServoControllerConfig(axes=('X:ballscrew',)))['X']
-    ruled = BallscrewController()
+    fuzzy = ruled()
     error, plain, own = (
         1e3 * np.abs(pulsed(reference, control, volts, sign)).max()
         for control in (
             published_with_feedforward,
-            lambda axis, *aim: ruled.step(aim[0], axis.measure(), *aim[1:]),
+            lambda axis, *aim: fuzzy.step(aim[0], axis.measure(), *aim[1:]),
             lambda axis, *aim: tuned.step(aim[0], axis.measure(), *aim[1:]),
         )
     )
-    assert tuned.watch.fault == ruled.watch.fault == ''
+    assert tuned.watch.fault == fuzzy.watch.fault == ''
     assert own < 0.6 * error
     assert plain < 1.6 * error

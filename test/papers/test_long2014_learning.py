@@ -103,7 +103,7 @@ def test_least_squares_reproduces_table_1_better_than_the_published_rules():
 
 
 def test_rules_learnt_from_a_recorded_pid_position_as_fast():
-    axis = LatheAxis().linear()
+    axis = LatheAxisConfig().linear()
     target_of = VariableUniverseController(axis)
     records = []
     for seed, target in enumerate((-0.19, -0.05, 0.05, 0.19)):

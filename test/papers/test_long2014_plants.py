@@ -21,7 +21,7 @@ POSITION_GAIN, VELOCITY_GAIN = 0.2846, 0.00738
 @pytest.mark.parametrize(('substeps', 'printed_mm'), [(20, 3.5e-5), (5, 5.6e-4), (1, 0.014)])
 def test_substeps_agree_with_the_exact_model(substeps, printed_mm):
     axis = LatheAxis(LatheAxisConfig(coulomb=0.0, breakaway=0.0, substeps=substeps))
-    model = axis.linear()
+    model = axis.config.linear()
     dynamics, duty, _ = model.discrete()
     state, place = np.zeros(5), model.states.index('position')
     difference = []
@@ -38,8 +38,8 @@ def test_substeps_agree_with_the_exact_model(substeps, printed_mm):
     [(0.5, 0.9692), (0.75, 0.9653), (1.0, 0.9682), (1.25, 0.9727), (1.5, 0.9970), (1.75, 1.014)],
 )
 def test_spectral_radius_of_the_production_loop(factor, printed):
-    nominal = LatheAxis().linear()
-    changed = LatheAxis(LatheAxisConfig(gain=0.286 * factor)).linear()
+    nominal = LatheAxisConfig().linear()
+    changed = LatheAxisConfig(gain=0.286 * factor).linear()
     dynamics, duty, _ = changed.discrete()
     model, entry, disturbance = nominal.discrete()
     # the observer: prediction with the last duty, corrected by what the prediction was off

@@ -20,7 +20,7 @@ from fuzzycnc_ros.simulation.servo.positioning import position, position_many
 
 pytestmark = pytest.mark.paper
 
-AXIS = LatheAxis().linear()
+AXIS = LatheAxisConfig().linear()
 OFF_GRID = 2.9e-7
 SMOOTH = {'coulomb': 0.0, 'breakaway': 0.0}
 

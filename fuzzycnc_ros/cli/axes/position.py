@@ -87,7 +87,7 @@ def position(
     params: Annotated[
         OptionalPath,
         given(
-            'Settings of the controller, as `servo tune` and `servo learn` write them.',
+            'Rules as `servo learn` writes them, or settings of the controller.',
             metavar='FILE',
         ),
     ] = None,
@@ -287,7 +287,7 @@ def _controller(
     if not known.machine:
         settings = _settings(params)
         check_controller(name, known.name, settings)
-        return make_controller(name, known.name, plant, settings)
+        return make_controller(name, known.name, settings)
     from fuzzycnc_ros.cli.axes.servo_machine import machine_controller
 
     return machine_controller(known.data, known.name, name, params)

@@ -18,7 +18,6 @@ from fuzzycnc_ros.cli.axes.servo_axis import (
     Out,
     check_axis,
     check_controller,
-    make_axis,
     make_controller,
     warnings_said,
 )
@@ -42,7 +41,6 @@ from fuzzycnc_ros.cli.options import (
     MachineFile,
     OptionalPath,
     OptionalText,
-    OptionalWhole,
     Report,
     choice,
     given,
@@ -58,30 +56,34 @@ HELP = """Compare, learn, tune and judge controllers that position an axis.
 
     fuzzycnc servo compare --report controllers.html
     fuzzycnc servo learn run --out rules.yaml
-    fuzzycnc servo tune --generations 30 --out settings.yaml
     fuzzycnc servo tune --machine-file mill.yaml --axis X --out tuned.yaml
-    fuzzycnc servo stability --params settings.yaml
+    fuzzycnc servo stability --machine-file tuned.yaml --axis X
 
 `fuzzycnc position` moves an axis with what they find.
 """
 
+SETTINGS = ('bandwidth', 'damping', 'estimator')
+"""Settings of all controllers of an axis; where they are made would load numpy."""
+
 SEARCHED = (
+    *SETTINGS,
+    'error_range',
+    'rate_range',
     'error_exponent',
     'rate_exponent',
     'error_floor',
     'rate_floor',
     'output_gain',
-    'rate_range',
     'disturbance',
 )
-"""Settings that `servo tune` searches; where they are made would load numpy."""
+"""Settings that `servo tune` searches; those after the first three are of the rules' universes."""
 
 MachineAxis = Annotated[
     str, typer.Option(metavar='NAME', show_default=False, help='Axis of the machine file.')
 ]
 
 Params = Annotated[
-    OptionalPath, given('Settings as `servo tune` and `learn` write them.', metavar='FILE')
+    OptionalPath, given('Rules as `servo learn` writes them, or settings.', metavar='FILE')
 ]
 
 
@@ -161,17 +163,15 @@ def tune(
     axis: Axis = '',
     machine_file: MachineFile = None,
     generations: Annotated[
-        OptionalWhole,
-        given(
-            'Generations of the search after the first population; 30, or 8 with a machine file.'
-        ),
-    ] = None,
+        int, typer.Option(help='Generations of the search after the first population.')
+    ] = 8,
     population: Annotated[int, typer.Option(help='Candidates per setting.')] = 6,
     search: Annotated[
         list[str],
         typer.Option(
             metavar='NAME,...',
-            help=f'Settings to search, or {ALL}: {", ".join(SEARCHED)}.',
+            help=f'Settings to search: {", ".join(SETTINGS)} of every controller, which {ALL} '
+            f'means, or of the rules and their tangent {", ".join(SEARCHED[len(SETTINGS) :])}.',
             autocompletion=some_of((ALL, *SEARCHED)),
         ),
     ] = [ALL],  # noqa: B006
@@ -179,85 +179,39 @@ def tune(
     jobs: Jobs = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Search for settings of the lathe's controller, or for the controller of a machine's axis.
+    """Search for the controller that suits an axis of a machine file, and for its settings.
 
-    Differential evolution on eight moves: 20 um to 170 mm, the gain from half to one and a half
-    times nominal, friction, load. A generation of the default size takes about four seconds of
-    one core; the progress shows the best cost so far.
-
-        fuzzycnc servo tune --out settings.yaml
-        fuzzycnc servo tune --search output_gain,disturbance --generations 10 --out few.json
-
-    With a machine file all four controllers - PID with feedforward, cascade, linear tangent,
-    variable universe - are tuned with the same number of trials, with gains from half to twice,
+    Four controllers - PID with feedforward, cascade, linear tangent, variable universe - are tuned
+    by differential evolution with the same number of trials, with gains from half to twice,
     loads and friction within the file's limits, and judged on other cases. The best one,
     or a simpler one that is as good to 5 %, is written into --out, a new machine file. It takes
     about two minutes.
 
         fuzzycnc servo tune --machine-file mill.yaml --axis X --out tuned.yaml
+
+    Without a machine file the built-in one of --axis is tuned.
+
+        fuzzycnc servo tune --out tuned.yaml
+        fuzzycnc servo tune --search output_gain,disturbance --generations 10 --out few.yaml
     """
+    from fuzzycnc_ros.cli.axes.servo_machine import Effort, tune_machine_axis
+
     check_at_least('--population', population, 1)
     check_at_least('--seed', seed, 0)
-    effort = generations if generations is not None else 30 if machine_file is None else 8
-    check_at_least('--generations', effort, 1)
+    check_at_least('--generations', generations, 1)
     check_new(out)
     check_folder(json_file)
-    if machine_file is not None:
-        from fuzzycnc_ros.cli.axes.servo_machine import Effort, tune_machine_axis
-
-        if words(search) != (ALL,):
-            raise ValueError(f'--search: expected {ALL} with --machine-file but found others')
-        work = Effort(seed, effort, population)
-        tune_machine_axis(machine_file, axis, out, work, jobs_of(jobs), json_file)
-        return
-    axis = axis or AXES[0]
-    from fuzzycnc_ros.simulation.servo.tuning import BOUNDS, production
-    from fuzzycnc_ros.simulation.servo.tuning import tune as searched
-    from fuzzycnc_ros.studies.servo.positioning_rules import default_cost, swinging, tuning_table
-    from fuzzycnc_ros.studies.servo.servo_settings import settings_text
-
-    check_axis(axis)
-    if axis != AXES[0]:
-        raise ValueError(
-            f'--axis: expected {AXES[0]}, on which settings are searched, but found {axis}; for '
-            'other axes give a --machine-file, such as ballscrew, which is built in'
-        )
-    names = names_of('--search', search, tuple(BOUNDS))
+    if machine_file is None:
+        machine_file, axis = axis or AXES[0], ''
+        check_axis(machine_file)
+    names = SETTINGS if words(search) == (ALL,) else names_of('--search', search, SEARCHED)
     if population * len(names) < 5:
         raise ValueError(
             f'--population: expected five candidates or more in all but found {population} for '
             f'each of {len(names)} settings'
         )
-    with progress_bar('searching') as tell:
-        found = searched(
-            bounds={name: BOUNDS[name] for name in names},
-            seed=seed,
-            generations=effort,
-            population=population,
-            progress=lambda done, total, cost: tell(f'best cost {cost:.3f}', done, total),
-        )
-    before = default_cost()
-    show(tuning_table(found, before))
-    if found.cost >= before:
-        say('note: no better than the defaults; try more --generations or a larger --population')
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore')
-        best = production(make_axis(axis, {}).linear(), found.settings)
-    for line in swinging(best):
-        say(line)
-    about = f'tuned on the simulated lathe axis, seed {seed}, {effort} generations'
-    write_text(out, settings_text(out, axis, numbers=found.settings, about=about))
-    say(f'{out}: the settings; move with them by `fuzzycnc position --params {out}`')
-    write_json(
-        json_file,
-        {
-            'settings': found.settings,
-            'cost': found.cost,
-            'history': found.history,
-            'evaluations': found.evaluations,
-            'seed': seed,
-        },
-    )
+    work = Effort(names, seed, generations, population)
+    tune_machine_axis(machine_file, axis, out, work, jobs_of(jobs), json_file)
 
 
 def stability(
@@ -330,7 +284,7 @@ def _built_in(axis: str, controller: str, params: Path | None) -> Any:
         )
     settings = read_settings(params) if params is not None else None
     check_controller(controller, axis, settings)
-    return make_controller(controller, axis, make_axis(axis, {}), settings, unstable=True)
+    return make_controller(controller, axis, settings, unstable=True)
 
 
 def _factors(texts: list[str]) -> tuple[float, ...]:
@@ -398,7 +352,7 @@ def learn(
     from fuzzycnc_ros.core.servo.rule_table import CENTRES, CENTRES_WITH_ZERO, SETS, SETS_WITH_ZERO
     from fuzzycnc_ros.studies.servo.positioning_rules import rules_document, rules_table
     from fuzzycnc_ros.studies.servo.recorded_moves import read_bag, read_csv, records_of
-    from fuzzycnc_ros.studies.servo.servo_settings import ServoSettings, settings_text
+    from fuzzycnc_ros.studies.servo.servo_settings import ServoSettings, rules_text
 
     if machine_file is None:
         axis = axis or AXES[0]
@@ -433,10 +387,13 @@ def learn(
         with_rules = lambda rules: make_axis_controller(data, WITH_RULES, own, rules)  # noqa: E731
     else:
         direction = -1.0 if reversed_axis else 1.0
-        plant = make_axis(axis, {'direction': ('--reversed', direction)})
-        controller = make_controller(DEFAULT, axis, plant)
+        controller = make_controller(DEFAULT, axis, direction=direction)
         with_rules = lambda rules: make_controller(  # noqa: E731
-            DEFAULT, axis, plant, ServoSettings(out, axis, rules=rules), unstable=True
+            DEFAULT,
+            axis,
+            ServoSettings(out, axis, rules=rules),
+            direction=direction,
+            unstable=True,
         )
     moves = read_csv(source, LENGTHS[unit]) if unit is not None else read_bag(source, name)
     size = controller.watch.limits.error_max
@@ -464,7 +421,7 @@ def learn(
     for line in _unsettled(ServoSettings(out, axis, rules=rules), with_rules):
         say(line)
     about = f'rules learnt from {source.name}, method {method}'
-    write_text(out, settings_text(out, axis, rules=rules, about=about))
+    write_text(out, rules_text(out, axis, rules, about))
     of_file = f' --machine-file {machine_file} --axis {axis}' if machine_file else ''
     say(f'{out}: the rules; move with them by `fuzzycnc position{of_file} --params {out}`')
     write_json(json_file, rules_document(learned))

@@ -71,29 +71,6 @@ def check_axis(axis: str) -> None:
         raise ValueError(f'--axis: expected one of {", ".join(AXES)} but found {axis!r}')
 
 
-def make_axis(axis: str, knobs: Mapping[str, tuple[str, Any]]) -> AxisPlant:
-    """Return a simulated axis.
-
-    Parameters
-    ----------
-    axis : str
-        Of `AXES`.
-    knobs : mapping of str to (str, value)
-        What is set of it: by parameter, the option that says so and its value.
-
-    Raises
-    ------
-    ValueError
-        If a value is out of its bounds; the message names the option.
-    """
-    from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
-    from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, LatheAxis
-
-    if axis == 'lathe':
-        return made_with(lambda **values: LatheAxis(LatheAxisConfig(**values)), knobs)
-    return made_with(lambda **values: BallscrewAxis(BallscrewAxisConfig(**values)), knobs)
-
-
 def made_with(make: Callable[..., AxisPlant], knobs: Mapping[str, tuple[str, Any]]) -> AxisPlant:
     """Return what is made with the values of knobs; refusals name their options."""
     try:
@@ -125,9 +102,9 @@ def check_controller(name: str, axis: str, settings: ServoSettings | None) -> No
 def make_controller(
     name: str,
     axis: str,
-    plant: AxisPlant,
     settings: ServoSettings | None = None,
     *,
+    direction: float = 1.0,
     unstable: bool = False,
 ) -> AxisController:
     """Return a controller as it is meant to be used on an axis, or with settings of its own.
@@ -139,23 +116,21 @@ def make_controller(
     ValueError
         If the settings are those of another axis, or leave a loop that does not settle.
     """
+    from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
+    from fuzzycnc_ros.core.servo import axis_control
+    from fuzzycnc_ros.core.servo.ballscrew import ballscrew_controller
+
+    model = LatheAxisConfig(direction=direction).linear()
     if settings is None:
         if axis == 'ballscrew':
-            from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
-            from fuzzycnc_ros.core.servo.ballscrew import BallscrewController, tuned_ballscrew
-
-            direction = 1.0 if plant.linear().gain > 0.0 else -1.0
-            known = BallscrewAxisConfig(direction=direction)
-            return BallscrewController(known) if name == DEFAULT else tuned_ballscrew(known)
-        from fuzzycnc_ros.components.servo import controllers
-
-        return controllers.make_controller(name, plant.linear())
+            return ballscrew_controller(name, direction=direction)
+        return axis_control.make_controller(name, model)
     if settings.axis not in ('', axis):
         raise ValueError(
             f'{settings.path}: expected settings for the {axis} axis but found those for the '
             f'{settings.axis} axis'
         )
-    controller = settings.controller(name, axis, plant.linear())
+    controller = settings.controller(name, axis, model)
     if not unstable:
         settings.check(controller)
     return controller

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Effort:
-    """What a search may cost: seed, generations, candidates per setting."""
+    """What is searched and what it may cost: seed, generations, candidates per setting."""
 
+    search: tuple[str, ...]
     seed: int
     generations: int
     population: int
@@ -157,7 +158,7 @@ def tune_machine_axis(
 ) -> None:
     """Tune all controllers of an axis, and write the machine file with the one that suits it."""
     from fuzzycnc_ros.cli.workers import in_workers
-    from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS
+    from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS, SETTINGS, WITH_PARAMS
     from fuzzycnc_ros.machine_file.writer import machine_text
     from fuzzycnc_ros.simulation.servo.axis_tuning import AxisTuning, axis_cases
     from fuzzycnc_ros.studies.servo.axis_tuning_tables import (
@@ -167,9 +168,12 @@ def tune_machine_axis(
     )
 
     machine, name, data = machine_axis(file, axis)
-    pieces = [(data, kind, effort) for kind in AXIS_CONTROLLERS]
+    # Only they have the numbers of universes.
+    able = AXIS_CONTROLLERS if set(effort.search) <= set(SETTINGS) else WITH_PARAMS
+    kinds = [kind for kind in AXIS_CONTROLLERS if kind in able]
+    pieces = [(data, kind, effort) for kind in kinds]
     with progress_bar('searching') as tell:
-        controllers = in_workers(_tuned, pieces, list(AXIS_CONTROLLERS), jobs, tell)
+        controllers = in_workers(_tuned, pieces, kinds, jobs, tell)
     found = AxisTuning(tuple(controllers), axis_cases(data, held_out=True, seed=effort.seed))
     show(axis_tuning_table(found, f'Axis {name} of {machine.name}'))
     for line in axis_tuning_remarks(found):
@@ -220,6 +224,7 @@ def _tuned(piece: Any, progress: Progress) -> TunedController:
     return tune_controller(
         data,
         kind,
+        search=effort.search,
         seed=effort.seed,
         generations=effort.generations,
         population=effort.population,

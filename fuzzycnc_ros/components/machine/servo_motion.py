@@ -34,7 +34,7 @@ from fuzzycnc_ros.runtime.records import (
     Trajectory,
     nanoseconds,
 )
-from fuzzycnc_ros.simulation.servo.axes import AxisPlant
+from fuzzycnc_ros.simulation.servo.axes import SimulatedAxis
 
 _ARRIVED = 1e-5
 """Distance from the end of a trajectory within which an axis has arrived [m]."""
@@ -156,7 +156,7 @@ class ServoDrives:
 
     Parameters
     ----------
-    plants : mapping of str to AxisPlant
+    plants : mapping of str to simulated axis
         Axes by name.
     travel : mapping of str to tuple of float
         Ends of the travel of each axis [m].
@@ -181,7 +181,7 @@ class ServoDrives:
     """
 
     def __init__(
-        self, plants: Mapping[str, AxisPlant], travel: Mapping[str, tuple[float, float]]
+        self, plants: Mapping[str, SimulatedAxis], travel: Mapping[str, tuple[float, float]]
     ) -> None:
         self._names = tuple(plants)
         self._axes = [_Stopping(name, plant, travel[name]) for name, plant in plants.items()]
@@ -250,8 +250,8 @@ class ServoDrives:
 class _Stopping:
     """Where an axis comes to rest if its drive goes to zero now: limit switches know no sensor."""
 
-    def __init__(self, name: str, plant: AxisPlant, travel: tuple[float, float]) -> None:
-        model = plant.linear()
+    def __init__(self, name: str, plant: SimulatedAxis, travel: tuple[float, float]) -> None:
+        model = plant.config.linear()
         self.name = name
         self.low, self.high = travel
         self._plant = plant

@@ -12,7 +12,7 @@ from typing import Any
 
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData, PlantConfig, parse_axis_texts
-from fuzzycnc_ros.simulation.servo.axes import AxisPlant, BallscrewAxis, LatheAxis
+from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, LatheAxis, SimulatedAxis
 
 FROM_FILE = 'machine_file'
 """Model of an axis whose data come from a machine file."""
@@ -113,7 +113,7 @@ def parse_plants(
     texts: Iterable[str],
     data: Mapping[str, AxisData],
     **common: float,
-) -> dict[str, AxisPlant]:
+) -> dict[str, SimulatedAxis]:
     """Return the plant of each axis.
 
     Parameters
@@ -137,8 +137,8 @@ def parse_plants(
     Examples
     --------
     >>> plants = parse_plants('servo_plant', {'X': 'lathe'}, ['X:direction:-1'], {})
-    >>> plants['X'].linear().gain
-    -0.286
+    >>> plants['X'].config.direction
+    -1.0
     """
     given: dict[str, dict[str, Any]] = {axis: dict(common) for axis in axes}
     for text in texts:
@@ -165,14 +165,14 @@ def parse_plants(
     }
 
 
-def make_plant(model: str, **changes: Any) -> AxisPlant:
+def make_plant(model: str, **changes: Any) -> SimulatedAxis:
     """Return a plant of a model, with what differs from its defaults."""
     if model == 'lathe':
         return LatheAxis(LatheAxisConfig(**changes))
     return BallscrewAxis(BallscrewAxisConfig(**changes))
 
 
-def _file_plant(data: AxisData, changes: Mapping[str, Any]) -> AxisPlant:
+def _file_plant(data: AxisData, changes: Mapping[str, Any]) -> SimulatedAxis:
     """Return the plant of an axis of a machine file, within its travel."""
     assert data.plant is not None
     plant: PlantConfig = replace(data.plant, **changes)

@@ -4,29 +4,30 @@
 
 from dataclasses import dataclass, replace
 
-from fuzzycnc_ros.components.servo.controllers import (
-    DEFAULT_CONTROLLER,
-    FOR_USE,
-    SUITED,
-    make_controller,
-)
 from fuzzycnc_ros.components.servo.servo_axes import (
     FROM_FILE,
     check_period,
     file_axes,
-    make_plant,
     parse_axes,
 )
 from fuzzycnc_ros.components.servo.servo_plausibility import MotionDoubt
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryInputConfig
-from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
+from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData
-from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS, make_axis_controller
-from fuzzycnc_ros.core.servo.ballscrew import TUNED_BALLSCREW, BallscrewController, tuned_ballscrew
+from fuzzycnc_ros.core.servo.axis_control import (
+    AXIS_CONTROLLERS,
+    FOR_USE,
+    make_axis_controller,
+    make_controller,
+)
+from fuzzycnc_ros.core.servo.ballscrew import BALLSCREW, BALLSCREW_SETTINGS, ballscrew_controller
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 from fuzzycnc_ros.core.servo.profile import ProfileLimits
+
+SUITED = 'suited'
+"""Stands for the controller that won on an axis after tuning with equal effort."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +68,7 @@ class ServoControllerConfig(Config):
         SUITED,
         '-',
         'Controller of every axis that is of no machine file: what won on it after tuning, '
-        f'{DEFAULT_CONTROLLER} on a lathe, {TUNED_BALLSCREW.controller} on a ballscrew, or '
+        f'{FOR_USE[0]} on a lathe, {BALLSCREW.controller} on a ballscrew, or '
         'another; a ballscrew has these two only',
         choices=(SUITED, *FOR_USE),
     )
@@ -167,7 +168,7 @@ class ServoControllerConfig(Config):
                 f'silence_max: expected at most command_validity = {self.command_validity} s, for '
                 f'which the drives hold a command, but found {self.silence_max} s'
             )
-        theirs = (SUITED, DEFAULT_CONTROLLER, TUNED_BALLSCREW.controller)
+        theirs = (SUITED, *sorted(BALLSCREW_SETTINGS, reverse=True))
         if self.controller not in theirs and 'ballscrew' in axes.values():
             raise ValueError(
                 f'controller: expected {", ".join(theirs)} for a ballscrew axis but found '
@@ -195,18 +196,19 @@ def make_controllers(config: ServoControllerConfig) -> dict[str, AxisController]
         if name in known:
             found[name] = _file_controller(config, name, known[name])
         elif model == 'ballscrew':
-            known_as = BallscrewAxisConfig(
-                direction=direction, period=config.period, duty_max=config.duty_max
+            controller = ballscrew_controller(
+                BALLSCREW.controller if config.controller == SUITED else config.controller,
+                direction=direction,
+                period=config.period,
+                duty_max=config.duty_max,
             )
-            ruled = config.controller == DEFAULT_CONTROLLER
-            controller = BallscrewController(known_as) if ruled else tuned_ballscrew(known_as)
             controller.watch.limits = _believed(config, controller.watch.limits)
             found[name] = controller
         else:
-            axis = make_plant(model, direction=direction, period=config.period).linear()
+            axis = LatheAxisConfig(direction=direction, period=config.period).linear()
             limits = _believed(config, FeedbackLimits.of(axis))
             found[name] = make_controller(
-                DEFAULT_CONTROLLER if config.controller == SUITED else config.controller,
+                FOR_USE[0] if config.controller == SUITED else config.controller,
                 axis,
                 duty_max=config.duty_max,
                 limits=limits,

@@ -1,40 +1,37 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Position controllers for an axis of a machine file, four kinds with three settings each.
+"""Position controllers by name, and the way from what is known of an axis to its controller.
 
-All of them know the same of the axis: its nominal model, its friction and its sensor.  All feed
-velocity, acceleration and friction of the reference forward.  They differ in the law that closes
-the loop, and their settings mean the same: how fast it is, how well damped, and how fast what the
-model does not know is found.
+The four for any axis know the same of it: its nominal model, its friction and its sensor.  All
+feed velocity, acceleration and friction of the reference forward.  They differ in the law that
+closes the loop, and their settings mean the same: how fast it is, how well damped, and how fast
+what the model does not know is found.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from functools import partial
 from math import inf, pi, sqrt
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData
 from fuzzycnc_ros.core.servo.axis import LinearAxis, response_lag, velocity_lag
 from fuzzycnc_ros.core.servo.baselines import CascadeController, PidController
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
-from fuzzycnc_ros.core.servo.friction import FrictionFedController, ReferenceFriction
 from fuzzycnc_ros.core.servo.observer import ObserverNoise
-from fuzzycnc_ros.core.servo.params import (
-    VariableUniverseParams,
-    default_crossover,
-)
+from fuzzycnc_ros.core.servo.params import VariableUniverseParams, default_crossover
 from fuzzycnc_ros.core.servo.rule_table import RuleTable
 from fuzzycnc_ros.core.servo.stick_slip import StickSlipParams
-from fuzzycnc_ros.core.servo.variable_universe import ContractedSurface, Law
+from fuzzycnc_ros.core.servo.variable_universe import (
+    FixedSurface,
+    LinearSurface,
+    VariableUniverseController,
+)
 
 SETTINGS: Mapping[str, tuple[float, float, float]] = MappingProxyType(
     {
@@ -50,6 +47,22 @@ its damping.  `estimator`: natural frequency of the disturbance observer over th
 PID, three times the rate at which its integral acts over the bandwidth.
 """
 
+_FRICTION = (0.0, 1.0, 1.0)
+"""Likewise of `friction`: share of the known Coulomb friction that is fed forward [-]."""
+
+UNIVERSES = (
+    'error_range',
+    'rate_range',
+    'error_exponent',
+    'rate_exponent',
+    'error_floor',
+    'rate_floor',
+    'output_gain',
+)
+"""Settings that stand for a number of `VariableUniverseParams`, in SI."""
+
+DISTURBANCE = 'disturbance'
+"""Setting for what the observer expects of the disturbance, as `ObserverNoise`."""
 
 _ELASTIC = 4.0
 """By how much more than its rigid model an elastic axis may accelerate [-]."""
@@ -63,97 +76,51 @@ Of twelve axes with two masses, drawn at random (40 to 300 Hz, damping 3 to 10 %
 """
 
 
-class _LinearSurface(ContractedSurface):
-    """The tangent of the contracted surface at the target: proportional and derivative action."""
+def make_controller(
+    name: str,
+    axis: LinearAxis,
+    params: VariableUniverseParams | None = None,
+    **options: Any,
+) -> AxisController:
+    """Return the controller of a name, with the numbers that were found on the lathe axis.
 
-    def duty(self, error: ArrayLike, rate: ArrayLike) -> Array:
-        """Return the duties [-] at errors [m] and error rates [m/s], which broadcast."""
-        p, way = self._params, -np.sign(self._scale)
-        return np.asarray(
-            way * (p.error_gain * np.asarray(error) + p.rate_gain * np.asarray(rate))
+    Parameters
+    ----------
+    name : str
+        Of `CONTROLLERS`.
+    axis : LinearAxis
+        Nominal model of the axis.
+    params : VariableUniverseParams, optional
+        Universes and rules instead of the controller's own.
+    **options
+        What the controller takes beside: `duty_max`, `duty_slew` and `limits` all do, `noise`
+        those with an observer.
+
+    Raises
+    ------
+    ValueError
+        If the name is unknown, the controller has no universes to set, or a number is out of its
+        range.
+
+    Examples
+    --------
+    >>> lags = {'amplifier': 8e-4, 'torque': 1.5e-3}
+    >>> axis = LinearAxis.chain(0.286, lags, 0.017, sensor_lag=6e-3, period=1e-3)
+    >>> type(make_controller('cascade', axis)).__name__
+    'CascadeController'
+    """
+    if name not in CONTROLLERS:
+        raise ValueError(
+            f'controller: expected one of {", ".join(CONTROLLERS)} but found {name!r}'
         )
-
-    def _law(self) -> Law:
-        way = -np.sign(self._scale).item()
-        per_error, per_rate = way * self._params.error_gain, way * self._params.rate_gain
-        return lambda error, rate: per_error * error + per_rate * rate
-
-
-class _LinearTangentController(FrictionFedController):
-    """The variable-universe controller with the tangent of its surface: linear state feedback.
-
-    It is what the rules come down to near the target; parameters as `FrictionFedController`.
-    """
-
-    def _on_universes(self) -> _LinearSurface:
-        return _LinearSurface(self.params, self._direction)
-
-
-class _FrictionFedCascade(CascadeController):
-    """The cascade with the friction of the reference's motion fed forward.
-
-    Parameters
-    ----------
-    axis : LinearAxis
-        Nominal model.
-    friction : ReferenceFriction
-        Friction of the axis.
-    **options
-        As `CascadeController`.
-    """
-
-    def __init__(self, axis: LinearAxis, friction: ReferenceFriction, **options: Any) -> None:
-        super().__init__(axis, **options)
-        self._known, self._friction = friction, 0.0
-
-    def _restart(self, position: float, duty: float) -> None:
-        self._known.reset()
-        self._friction = 0.0
-        super()._restart(position, duty)
-
-    def _wanted(
-        self, reference: float, position: float, velocity: float, acceleration: float
-    ) -> float:
-        self._friction = self._known.of(velocity, acceleration, self._error)
-        return super()._wanted(reference, position, velocity, acceleration) + self._friction
-
-    def _commit(self, duty: float, position: float) -> None:
-        super()._commit(duty - self._friction, position)
-
-    def _bridge(self, duty: float) -> None:
-        super()._bridge(duty - self._friction)
-
-
-class _FrictionFedPid(PidController):
-    """The PID with velocity, acceleration and friction of the reference fed forward.
-
-    Parameters
-    ----------
-    axis : LinearAxis
-        Nominal model.
-    friction : ReferenceFriction
-        Friction of the axis.
-    **options
-        As `PidController`.
-    """
-
-    def __init__(self, axis: LinearAxis, friction: ReferenceFriction, **options: Any) -> None:
-        super().__init__(axis, **options)
-        self._known = friction
-        # An axis that follows well is read late, by this time.
-        sensor = axis.states.index('sensor') if 'sensor' in axis.states else None
-        self._late = 0.0 if sensor is None else -1.0 / float(axis.a[sensor, sensor])
-
-    def _restart(self, position: float, duty: float) -> None:
-        self._known.reset()
-        super()._restart(position, duty)
-
-    def _wanted(
-        self, reference: float, position: float, velocity: float, acceleration: float
-    ) -> float:
-        friction = self._known.of(velocity, acceleration, self._error)
-        seen = reference - self._late * velocity
-        return super()._wanted(seen, position, velocity, acceleration) + friction
+    if params is None:
+        return CONTROLLERS[name].make(axis, **options)
+    if name not in WITH_PARAMS:
+        raise ValueError(
+            f'params: expected one of the controllers {", ".join(WITH_PARAMS)} but found {name}, '
+            'which has no such parameters'
+        )
+    return CONTROLLERS[name].make(axis, params=params, **options)
 
 
 def make_axis_controller(
@@ -189,113 +156,180 @@ def make_axis_controller(
         )
     # Settings are tuned for the controller that the axis has, and for that one alone.
     own = data.settings if name in ('', data.controller) else {}
-    given = own if settings is None else settings
-    for key, value in given.items():
-        if key not in SETTINGS:
-            raise ValueError(
-                f'settings: expected {", ".join(SETTINGS)} but found {key!r}; settings of '
-                '`servo tune` without a machine file are for the lathe axis'
-            )
-        low, high, _ = SETTINGS[key]
-        if not low <= value <= high:
-            raise ValueError(
-                f'settings: expected {key} from {low:g} to {high:g} but found {value}'
-            )
-    known = {key: plain for key, (_, _, plain) in SETTINGS.items()} | dict(given)
-    if rules is None:
-        return AXIS_CONTROLLERS[chosen](data, known)
-    if chosen != WITH_RULES:
+    known = _checked(chosen, own if settings is None else settings)
+    if rules is not None and chosen != WITH_RULES:
         raise ValueError(
             f'rules: expected none for {chosen}, which has none, but found some; they are for '
             f'{WITH_RULES}'
         )
-    return _friction_fed(FrictionFedController, data, known, rules)
+    axis, common = _common(data, known['friction'])
+    fit = CONTROLLERS[chosen].fit
+    assert fit is not None
+    options = fit(data, axis, known)
+    if 'params' in options:
+        numbers = {key: value for key, value in known.items() if key in UNIVERSES}
+        options['params'] = replace(
+            options['params'], **numbers, **({} if rules is None else {'rules': rules})
+        )
+        if DISTURBANCE in known:
+            options['noise'] = replace(options['noise'], disturbance=known[DISTURBANCE])
+    return CONTROLLERS[chosen].make(axis, **options, **common)
 
 
-def _variable_universe(data: AxisData, settings: Mapping[str, float]) -> AxisController:
-    return _friction_fed(FrictionFedController, data, settings)
+def _checked(name: str, given: Mapping[str, float]) -> dict[str, float]:
+    """Return all settings of a controller; refuses what it has not, or what is out of range."""
+    further = (*UNIVERSES, DISTURBANCE) if name in WITH_PARAMS else ()
+    for key, value in given.items():
+        if key in further:
+            continue
+        if key not in SETTINGS and key != 'friction':
+            raise ValueError(
+                f'settings: expected {", ".join((*SETTINGS, "friction", *further))} for {name} '
+                f'but found {key!r}'
+            )
+        low, high, _ = SETTINGS.get(key, _FRICTION)
+        if not low <= value <= high:
+            raise ValueError(
+                f'settings: expected {key} from {low:g} to {high:g} but found {value}'
+            )
+    plain = {key: value for key, (_, _, value) in {**SETTINGS, 'friction': _FRICTION}.items()}
+    return plain | dict(given)
 
 
-def _linear_tangent(data: AxisData, settings: Mapping[str, float]) -> AxisController:
-    return _friction_fed(_LinearTangentController, data, settings)
+def setting_ranges(
+    data: AxisData, name: str, search: Iterable[str]
+) -> dict[str, tuple[float, float, float]]:
+    """Return lowest, highest and untuned value of settings, as `SETTINGS` has them.
+
+    Numbers of the universes are searched from a third to three times the untuned one.
+
+    Raises
+    ------
+    ValueError
+        If the controller has no such setting.
+    """
+    plain = _checked(name, {})
+    found: dict[str, tuple[float, float, float]] = {}
+    for key in search:
+        if key in SETTINGS:
+            found[key] = SETTINGS[key]
+            continue
+        _checked(name, {key: 1.0})
+        options = _universes(data, data.known_plant().linear(), plain)
+        value = options['noise' if key == DISTURBANCE else 'params']
+        untuned = float(getattr(value, key))
+        most = 1.0 if key.endswith('exponent') else 3.0 * untuned
+        found[key] = (untuned / 3.0, most, untuned)
+    return found
 
 
-def _friction_fed(
-    kind: type[FrictionFedController],
-    data: AxisData,
-    settings: Mapping[str, float],
-    rules: RuleTable | None = None,
-) -> AxisController:
-    axis, common = _common(data)
-    forward, backward = _friction(data)
+Options = dict[str, Any]
+
+
+def _universes(data: AxisData, axis: LinearAxis, settings: Mapping[str, float]) -> Options:
     bandwidth, observer = _bandwidths(data, axis, settings)
-    params = VariableUniverseParams.for_axis(
-        axis, bandwidth, damping=_damping(axis, bandwidth, settings)
-    )
-    return kind(
-        axis,
-        forward=forward,
-        backward=backward,
-        observer_bandwidth=observer,
-        params=params if rules is None else replace(params, rules=rules),
-        noise=ObserverNoise.of_bandwidth(axis, observer, _reading_error(data)),
-        stick_slip=_relief(data),
-        **common,
-    )
+    plant = data.known_plant()
+    return {
+        'params': VariableUniverseParams.for_axis(
+            axis, bandwidth, damping=_damping(axis, bandwidth, settings)
+        ),
+        'noise': ObserverNoise.of_bandwidth(axis, observer, _reading_error(data)),
+        'settle': 3.0 / observer,
+        'stick_slip': StickSlipParams.for_sensor(plant.count, plant.noise),
+    }
 
 
-def _cascade(data: AxisData, settings: Mapping[str, float]) -> AxisController:
-    axis, common = _common(data)
+def _cascade(data: AxisData, axis: LinearAxis, settings: Mapping[str, float]) -> Options:
     bandwidth, observer = _bandwidths(data, axis, settings)
     damping = _damping(axis, bandwidth, settings)
-    return _FrictionFedCascade(
-        axis,
-        _reference_friction(data, axis),
-        position_gain=0.5 * bandwidth / damping,
-        velocity_gain=2.0 * damping * bandwidth * velocity_lag(axis) - 1.0,
-        velocity_max=1.2 * data.limits.velocity,
-        noise=ObserverNoise.of_bandwidth(axis, observer, _reading_error(data)),
-        **common,
-    )
+    return {
+        'position_gain': 0.5 * bandwidth / damping,
+        'velocity_gain': 2.0 * damping * bandwidth * velocity_lag(axis) - 1.0,
+        'velocity_max': 1.2 * data.limits.velocity,
+        'noise': ObserverNoise.of_bandwidth(axis, observer, _reading_error(data)),
+    }
 
 
-def _pid(data: AxisData, settings: Mapping[str, float]) -> AxisController:
-    axis, common = _common(data)
+def _pid(data: AxisData, axis: LinearAxis, settings: Mapping[str, float]) -> Options:
     bandwidth, estimator = _bandwidths(data, axis, settings)
     lag, gain = velocity_lag(axis), abs(axis.gain)
     proportional = bandwidth * bandwidth * lag / gain
-    return _FrictionFedPid(
-        axis,
-        _reference_friction(data, axis),
-        proportional=proportional,
-        integral=proportional * estimator / 3.0,
-        derivative=(2.0 * _damping(axis, bandwidth, settings) * bandwidth * lag - 1.0) / gain,
-        rate_lag=max(0.2 * response_lag(axis), axis.period),
-        integral_band=inf,
-        **common,
-    )
+    sensor = axis.states.index('sensor') if 'sensor' in axis.states else None
+    return {
+        'proportional': proportional,
+        'integral': proportional * estimator / 3.0,
+        'derivative': (2.0 * _damping(axis, bandwidth, settings) * bandwidth * lag - 1.0) / gain,
+        'rate_lag': max(0.2 * response_lag(axis), axis.period),
+        'integral_band': inf,
+        'sensor_lag': 0.0 if sensor is None else -1.0 / float(axis.a[sensor, sensor]),
+    }
 
 
-AXIS_CONTROLLERS: Mapping[str, Callable[[AxisData, Mapping[str, float]], AxisController]] = (
-    MappingProxyType(
-        {
-            'pid': _pid,
-            'cascade': _cascade,
-            'linear_tangent': _linear_tangent,
-            'variable_universe': _variable_universe,
-        }
-    )
+class Kind(NamedTuple):
+    """A controller: its maker with the lathe's numbers, and those for another axis, if any do."""
+
+    make: Callable[..., AxisController]
+    fit: Callable[[AxisData, LinearAxis, Mapping[str, float]], Options] | None = None
+
+
+_variable = VariableUniverseController
+
+CONTROLLERS: Mapping[str, Kind] = MappingProxyType(
+    {
+        'pid': Kind(PidController, _pid),
+        'cascade': Kind(CascadeController, _cascade),
+        'linear_tangent': Kind(partial(_variable, surface=LinearSurface), _universes),
+        'variable_universe': Kind(_variable, _universes),
+        'variable_universe_model_free': Kind(partial(_variable, observer=False)),
+        'variable_universe_static': Kind(partial(_variable, mode='static')),
+        'variable_universe_paper': Kind(partial(_variable, mode='paper_literal')),
+        'fixed_universe': Kind(
+            partial(
+                _variable,
+                params=VariableUniverseParams(
+                    error_range=0.025, rate_range=0.246, output_gain=3.37
+                ),
+                surface=FixedSurface,
+            )
+        ),
+        'fixed_universe_paper': Kind(
+            partial(
+                _variable,
+                params=VariableUniverseParams.published(),
+                mode='static',
+                surface=FixedSurface,
+            )
+        ),
+    }
 )
-"""Controllers for any axis by name, the simplest first."""
+"""Controllers by name, the simplest first.
+
+`variable_universe` is the repaired form with observer and feedforward, `_model_free` the same with
+filtered differences and an integral, `_static` the published surface alone, `_paper` the published
+recursion as printed.  `linear_tangent` is its tangent at the target, `fixed_universe` has
+universes that do not contract, `fixed_universe_paper` the published rules on the published ones.
+"""
+
+AXIS_CONTROLLERS = tuple(name for name, kind in CONTROLLERS.items() if kind.fit)
+"""Those for any axis."""
+
+LATHE_CONTROLLERS = (*list(CONTROLLERS)[3:], 'cascade', 'pid')
+"""Those with numbers found on the lathe axis, the default first."""
+
+FOR_USE = tuple(name for name in LATHE_CONTROLLERS if name != 'fixed_universe_paper')
+"""Those of them that a node offers; the one left out stops far short, for comparison alone."""
+
+WITH_PARAMS = tuple(name for name in CONTROLLERS if name.startswith(('variable', 'linear')))
+"""Controllers that `VariableUniverseParams` are for."""
 
 WITH_RULES = 'variable_universe'
-"""The one among them that has rules."""
+"""The one for any axis that has rules."""
 
 UNTUNED_CONTROLLER = 'pid'
 """Controller of an axis that nothing is said about and that nothing was tuned on."""
 
 
-def _common(data: AxisData) -> tuple[LinearAxis, dict[str, Any]]:
+def _common(data: AxisData, friction: float) -> tuple[LinearAxis, Options]:
     """Return the nominal model, and what all controllers are told alike."""
     plant = data.known_plant()
     axis = plant.linear()
@@ -308,7 +342,12 @@ def _common(data: AxisData) -> tuple[LinearAxis, dict[str, Any]]:
     )
     # An encoder at the motor sees it swing against its load, with its own mass alone.
     limits = replace(limits, acceleration_max=_ELASTIC * limits.acceleration_max)
-    return axis, {'duty_max': plant.duty_max, 'limits': limits}
+    forward, backward = _friction(data)
+    return axis, {
+        'duty_max': plant.duty_max,
+        'limits': limits,
+        'friction': (friction * forward, friction * backward),
+    }
 
 
 def _bandwidths(
@@ -339,18 +378,7 @@ def _friction(data: AxisData) -> tuple[float, float]:
     return plant.coulomb_forward / full, plant.coulomb_backward / full
 
 
-def _reference_friction(data: AxisData, axis: LinearAxis) -> ReferenceFriction:
-    sign = 1.0 if axis.gain > 0.0 else -1.0
-    forward, backward = _friction(data)
-    return ReferenceFriction(sign * forward, sign * backward)
-
-
 def _reading_error(data: AxisData) -> float:
     """Return the RMS of a reading's error [m]."""
     plant = data.known_plant()
     return sqrt(plant.count * plant.count / 12.0 + plant.noise * plant.noise) or 1e-8
-
-
-def _relief(data: AxisData) -> StickSlipParams:
-    plant = data.known_plant()
-    return StickSlipParams.for_sensor(plant.count, plant.noise)

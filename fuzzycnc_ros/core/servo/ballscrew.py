@@ -1,118 +1,78 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Position controllers of a ball-screw axis: set from its nominal model alone, and tuned."""
+"""The ball-screw axis of the EMPS benchmark, and its controllers."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData, AxisLimits
 from fuzzycnc_ros.core.servo.axis_control import make_axis_controller
 from fuzzycnc_ros.core.servo.controller import AxisController
-from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
-from fuzzycnc_ros.core.servo.friction import FrictionFedController
-from fuzzycnc_ros.core.servo.observer import ObserverNoise
-from fuzzycnc_ros.core.servo.params import VariableUniverseParams
-from fuzzycnc_ros.core.servo.stick_slip import StickSlipParams
+from fuzzycnc_ros.core.servo.rule_table import RuleTable
 
-BANDWIDTH, OBSERVER_BANDWIDTH = 60.0, 240.0
-"""Of the closed position loop and of the observer [rad/s].
+BALLSCREW_SETTINGS: Mapping[str, Mapping[str, float]] = MappingProxyType(
+    {
+        'pid': MappingProxyType({'bandwidth': 1.85, 'damping': 0.5, 'estimator': 0.51}),
+        'variable_universe': MappingProxyType(
+            {'bandwidth': 0.6, 'damping': 1.0, 'estimator': 4.0}
+        ),
+    }
+)
+"""Settings of the ball-screw axis by controller; the first won after tuning with equal effort.
 
-Chosen on the nominal EMPS axis: the loop crosses over at 129 rad/s with a phase margin of 44
-degrees; the loop that the real machine was recorded with at 138 rad/s with 38 degrees.
+Those of the variable universe were chosen on the nominal EMPS axis: the loop crosses over at 129
+rad/s with a phase margin of 44 degrees; the loop that the real machine was recorded with at 138
+rad/s with 38 degrees.
 """
 
-TUNED_BALLSCREW = AxisData(
-    limits=AxisLimits(load=0.5),
+BALLSCREW = AxisData(
+    limits=AxisLimits(positioning_velocity=0.2, positioning_acceleration=1.5, load=0.5),
+    plant=BallscrewAxisConfig(),
     controller='pid',
-    settings=MappingProxyType({'bandwidth': 1.85, 'damping': 0.5, 'estimator': 0.51}),
+    settings=BALLSCREW_SETTINGS['pid'],
 )
-"""What won on the ball-screw axis after tuning with equal effort, as in the built-in machine file
-`ballscrew`; that file says of the axis what matters to it."""
-
-LOAD = 0.6
-"""Load and friction that the watch believes [-], as duty: the real machine bore pulses of half of
-its drive."""
-
-_RELIEF = StickSlipParams()
+"""The axis, as in the built-in machine file `ballscrew`."""
 
 
-class BallscrewController(FrictionFedController):
-    """Production controller of a ball-screw axis, with its Coulomb friction fed forward.
-
-    Where the reference comes to rest the friction stays fed forward until the axis has arrived.
-    (Without that it stuck 2.4 um short after every profile, for the 0.6 s in which the observer
-    found out.)
+def ballscrew_controller(
+    name: str = 'pid',
+    settings: Mapping[str, float] | None = None,
+    rules: RuleTable | None = None,
+    **plant: Any,
+) -> AxisController:
+    """Return a controller of the ball-screw axis.
 
     Parameters
     ----------
-    config : BallscrewAxisConfig, optional
-        The axis as it is known; its factors, load and faults are not looked at.
-    bandwidth, observer_bandwidth : float
-        Natural frequency of the closed position loop and of the observer [rad/s]; positive.
-    friction : float
-        Share of the known Coulomb friction that is fed forward [-], 0 to 1.
-    params : VariableUniverseParams, optional
-        Universes and rules instead of those that follow from `bandwidth`.
-    stick_slip : StickSlipParams or None
-        Relief from stick-slip hunting; None for none.
+    name : str
+        Of `BALLSCREW_SETTINGS`.
+    settings : mapping of str to float, optional
+        Settings instead of those.
+    rules : RuleTable, optional
+        Rules instead of the published ones.
+    **plant
+        What differs of the axis as it is known.
 
     Raises
     ------
     ValueError
-        If a number is out of its range.
+        If a name is unknown or a number out of its range.
 
     Examples
     --------
-    >>> from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
-    >>> axis, controller = BallscrewAxis(), BallscrewController()
-    >>> for step in range(1500):
-    ...     axis.drive(controller.step(min(1e-4 * step, 0.1), axis.measure()))
-    >>> f'{1e3 * axis.position:.3f}'
-    '100.000'
-    """
-
-    def __init__(
-        self,
-        config: BallscrewAxisConfig | None = None,
-        *,
-        bandwidth: float = BANDWIDTH,
-        observer_bandwidth: float = OBSERVER_BANDWIDTH,
-        friction: float = 1.0,
-        params: VariableUniverseParams | None = None,
-        stick_slip: StickSlipParams | None = _RELIEF,
-    ) -> None:
-        known = config or BallscrewAxisConfig()
-        if not 0.0 <= friction <= 1.0:
-            raise ValueError(f'friction: expected 0 to 1 but found {friction}')
-        axis = known.linear()
-        coulomb = 0.5 * friction * (known.coulomb_forward + known.coulomb_backward)
-        super().__init__(
-            axis,
-            forward=coulomb / known.force_max,
-            backward=coulomb / known.force_max,
-            observer_bandwidth=observer_bandwidth,
-            params=params or VariableUniverseParams.for_axis(axis, bandwidth, damping=1.0),
-            noise=ObserverNoise.of_bandwidth(axis, observer_bandwidth),
-            stick_slip=stick_slip,
-            duty_max=known.duty_max,
-            limits=FeedbackLimits.of(axis, count=known.count, load=LOAD),
-        )
-
-
-def tuned_ballscrew(config: BallscrewAxisConfig | None = None) -> AxisController:
-    """Return the controller that won on the ball-screw axis after tuning, `TUNED_BALLSCREW`.
-
-    Parameters
-    ----------
-    config : BallscrewAxisConfig, optional
-        The axis as it is known; its factors, load and faults are not looked at.
-
-    Examples
-    --------
-    >>> type(tuned_ballscrew()).__mro__[1].__name__
+    >>> type(ballscrew_controller()).__name__
     'PidController'
     """
-    return make_axis_controller(replace(TUNED_BALLSCREW, plant=config or BallscrewAxisConfig()))
+    if name not in BALLSCREW_SETTINGS:
+        raise ValueError(
+            f'controller: expected {" or ".join(BALLSCREW_SETTINGS)} for a ballscrew axis but '
+            f'found {name}'
+        )
+    known = replace(BALLSCREW, plant=replace(BALLSCREW.known_plant(), **plant))
+    own = {**BALLSCREW_SETTINGS[name], **(settings or {})}
+    return make_axis_controller(known, name, own, rules)

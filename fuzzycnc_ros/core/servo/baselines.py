@@ -38,6 +38,8 @@ class PidController(AxisController):
         Error beyond which nothing is integrated [m].
     feedforward : bool
         Whether velocity and acceleration of the reference are fed forward.
+    sensor_lag : float
+        Lag of the sensor that is made up for [s]: an axis that follows well is read late by it.
     **limits
         As `AxisController`.
     """
@@ -52,6 +54,7 @@ class PidController(AxisController):
         rate_lag: float = 1.1e-3,
         integral_band: float = 4e-4,
         feedforward: bool = True,
+        sensor_lag: float = 0.0,
         **limits: Any,
     ) -> None:
         for name, value in (
@@ -72,6 +75,7 @@ class PidController(AxisController):
             band=integral_band,
             still=STILL,
         )
+        self._late = sensor_lag
         self._per_velocity = 1.0 / axis.gain if feedforward else 0.0
         self._per_acceleration = axis.lag * self._per_velocity
         self._error = self._error_rate = 0.0
@@ -88,6 +92,10 @@ class PidController(AxisController):
     def _wanted(
         self, reference: float, position: float, velocity: float, acceleration: float
     ) -> float:
+        if self._known is not None:
+            self._friction = self._known.of(velocity, acceleration, self._error)
+        if self._late:
+            reference -= self._late * velocity
         error = self._error = reference - position
         rate = self._error_rate = velocity - self._rate.of(position)
         return (
@@ -96,6 +104,7 @@ class PidController(AxisController):
             + self._integral.value
             + velocity * self._per_velocity
             + acceleration * self._per_acceleration
+            + self._friction
         )
 
     def _commit(self, duty: float, position: float) -> None:
@@ -163,6 +172,8 @@ class CascadeController(AxisController):
     def _wanted(
         self, reference: float, position: float, velocity: float, acceleration: float
     ) -> float:
+        if self._known is not None:
+            self._friction = self._known.of(velocity, acceleration, self._error)
         observer = self._observer
         state = observer.state
         error = self._error = reference - state[observer.position_place]
@@ -174,10 +185,11 @@ class CascadeController(AxisController):
             + asked * self._per_velocity
             + acceleration * self._per_acceleration
             + state[-1]
+            + self._friction
         )
 
     def _commit(self, duty: float, position: float) -> None:
-        self._observer.advance(duty, position)
+        self._observer.advance(duty - self._friction, position)
 
     def _bridge(self, duty: float) -> None:
-        self._observer.coast(duty)
+        self._observer.coast(duty - self._friction)

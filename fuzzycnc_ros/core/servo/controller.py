@@ -10,6 +10,7 @@ from math import inf, isfinite, nan
 
 from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits, FeedbackWatch
+from fuzzycnc_ros.core.servo.friction import ReferenceFriction
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,6 +75,9 @@ class AxisController(ABC):
         Largest change of duty [1/s]; infinite for none.
     limits : FeedbackLimits, optional
         What to believe of the feedback; by default what follows from the axis.
+    friction : tuple of float
+        Duty [-] that Coulomb friction takes in positive and in negative motion, not negative; it
+        is fed forward.
 
     Raises
     ------
@@ -88,6 +92,7 @@ class AxisController(ABC):
         duty_max: float = 1.0,
         duty_slew: float = inf,
         limits: FeedbackLimits | None = None,
+        friction: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         if not 0.0 < duty_max <= 1.0:
             raise ValueError(f'duty_max: expected more than 0, at most 1, but found {duty_max}')
@@ -98,6 +103,9 @@ class AxisController(ABC):
         self.duty_max = duty_max
         self._direction = 1.0 if axis.gain > 0.0 else -1.0
         self._change_max = duty_slew * axis.period
+        forward, backward = (self._direction * one for one in friction)
+        self._known = ReferenceFriction(forward, backward) if any(friction) else None
+        self._friction = 0.0  # what is fed forward of it
         self.watch = FeedbackWatch(
             limits or FeedbackLimits.of(axis),
             axis.period,
@@ -132,7 +140,7 @@ class AxisController(ABC):
         self._at = position
         self.watch.reset(position)
         if position is not None:
-            self._restart(position, self._duty)
+            self._begin(position)
 
     def step(
         self,
@@ -169,7 +177,7 @@ class AxisController(ABC):
             return self._duty
         if self._at is None:
             self._at = position
-            self._restart(position, self._duty)
+            self._begin(position)
         wanted = self._wanted(reference, position, velocity, acceleration)
         top = self.duty_max
         duty = top if wanted > top else -top if wanted < -top else wanted
@@ -186,6 +194,13 @@ class AxisController(ABC):
         watch.applied(duty)
         self._commit(duty, position)
         return duty
+
+    def _begin(self, position: float) -> None:
+        """Begin at rest at a position [m] that the present duty holds."""
+        self._friction = 0.0
+        if self._known is not None:
+            self._known.reset()
+        self._restart(position, self._duty)
 
     @property
     @abstractmethod

@@ -4,17 +4,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from fuzzycnc_ros.core.servo.axis import LinearAxis
-from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
-
-_MOVING = 1e-3
-"""Velocity above which an axis is surely in motion [m/s]."""
 _MEMORY = 0.05
 """Time of motion over which the disturbance seen in it is averaged [s]."""
-_HIDDEN = 2.0
-"""Friction that is believed to hide forces at rest over the known one [-]."""
 
 
 class MovingDisturbance:
@@ -115,80 +106,3 @@ class ReferenceFriction:
         elif self.way and error * self.way <= 0.0:
             self.way = 0  # arrived
         return (0.0, self._forward, -self._backward)[self.way]
-
-
-class FrictionFedController(VariableUniverseController):
-    """Production controller with the known Coulomb friction of its axis fed forward.
-
-    The observer is told of the friction: it sees the duty without it, so that only what the model
-    does not know ends up in the observed disturbance.  Nothing is made up for twice, and at a
-    reversal the observer need not first unlearn the friction of the way there.
-
-    Where the reference sets off again the observer goes on from what it saw in motion of that
-    direction, see `MovingDisturbance`; friction that differs from the known one is learnt by that,
-    too.
-
-    Parameters
-    ----------
-    axis : LinearAxis
-        Nominal model.
-    forward, backward : float
-        Duty that friction takes in positive and in negative motion [-], not negative.
-    observer_bandwidth : float
-        Natural frequency of the observer [rad/s].
-    **options
-        As `VariableUniverseController`.
-    """
-
-    def __init__(
-        self,
-        axis: LinearAxis,
-        *,
-        forward: float,
-        backward: float,
-        observer_bandwidth: float,
-        **options: Any,
-    ) -> None:
-        super().__init__(axis, **options)
-        sign = self._direction
-        self._known = ReferenceFriction(sign * forward, sign * backward)
-        self._hides = _HIDDEN * max(forward, backward)
-        self._going = 0  # direction of the reference in the last period
-        self._moving = MovingDisturbance(axis.period, settle=3.0 / observer_bandwidth)
-
-    def _restart(self, position: float, duty: float) -> None:
-        self._friction = 0.0
-        self._going = 0
-        self._known.reset()
-        self._moving.reset(duty)
-        super()._restart(position, duty)
-
-    def _wanted(
-        self, reference: float, position: float, velocity: float, acceleration: float
-    ) -> float:
-        motion = velocity or acceleration
-        self._friction = self._known.of(velocity, acceleration, self._error)
-        if motion:
-            self._learn(velocity)
-        self._going = self._known.way if motion else 0
-        return super()._wanted(reference, position, velocity, acceleration)
-
-    def _learn(self, velocity: float) -> None:
-        """Have the observer set off with what was seen in motion, and see what there is to see."""
-        observer, way = self._observer, self._known.way
-        assert observer is not None
-        if not self._going:
-            # At rest the observer is off by what friction takes; a load beyond that is seen.
-            seen, rest, hidden = self._moving.recall(way), observer.state[-1], self._hides
-            observer.state = (*observer.state[:-1], min(max(seen, rest - hidden), rest + hidden))
-        slowest = min(way * velocity, way * observer.state[observer.velocity_place])
-        if slowest > _MOVING and self._going == way:
-            self._moving.learn(way, observer.state[-1])
-        else:
-            self._moving.rest()
-
-    def _commit(self, duty: float, position: float) -> None:
-        super()._commit(duty - self._friction, position)
-
-    def _bridge(self, duty: float) -> None:
-        super()._bridge(duty - self._friction)

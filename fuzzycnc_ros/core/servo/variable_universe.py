@@ -12,7 +12,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Callable
 from copy import copy
-from math import inf
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +23,7 @@ from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.core.servo.controller import AxisController, ControllerStatus
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 from fuzzycnc_ros.core.servo.filtered_rate import STILL, FilteredRate, Integrator
+from fuzzycnc_ros.core.servo.friction import MovingDisturbance
 from fuzzycnc_ros.core.servo.observer import DisturbanceObserver, ObserverNoise
 from fuzzycnc_ros.core.servo.params import VariableUniverseParams, default_crossover
 from fuzzycnc_ros.core.servo.stick_slip import StickSlipParams, StickSlipRelief
@@ -46,6 +47,8 @@ class ContractedSurface:
     law : callable
         The surface at one error [m] and error rate [m/s].
     """
+
+    CONTRACTS = True
 
     def __init__(self, params: VariableUniverseParams, direction: float) -> None:
         self._params = params
@@ -85,8 +88,56 @@ class ContractedSurface:
         return law
 
 
+class LinearSurface(ContractedSurface):
+    """The tangent of the contracted surface at the target: proportional and derivative action.
+
+    It is what the rules come down to near the target.
+    """
+
+    def duty(self, error: ArrayLike, rate: ArrayLike) -> Array:
+        """Return the duties [-] at errors [m] and error rates [m/s], which broadcast."""
+        p, way = self._params, -np.sign(self._scale)
+        return np.asarray(
+            way * (p.error_gain * np.asarray(error) + p.rate_gain * np.asarray(rate))
+        )
+
+    def _law(self) -> Law:
+        way = -np.sign(self._scale).item()
+        per_error, per_rate = way * self._params.error_gain, way * self._params.rate_gain
+        return lambda error, rate: per_error * error + per_rate * rate
+
+
+class FixedSurface(ContractedSurface):
+    """The rules on universes that do not shrink; floors and exponents are of no use here.
+
+    What the contraction is worth shows beside it: an ablation.
+    """
+
+    CONTRACTS = False
+
+    def inputs(self, error: ArrayLike, rate: ArrayLike) -> tuple[Array, Array]:
+        """Return errors [m] and error rates [m/s] on their universes [-]."""
+        p = self._params
+        return (
+            np.clip(np.asarray(error, dtype=np.float64) / p.error_range, -1.0, 1.0),
+            np.clip(np.asarray(rate, dtype=np.float64) / p.rate_range, -1.0, 1.0),
+        )
+
+    def _law(self) -> Law:
+        p, scale = self._params, self._scale
+        rules = p.rules
+        per_error, per_rate = 1.0 / p.error_range, 1.0 / p.rate_range
+        return lambda error, rate: scale * rules(error * per_error, rate * per_rate)
+
+
 MODES = ('production', 'static', 'paper_literal')
 """Modes of the controller; the first is the default."""
+
+_MOVING = 1e-3
+"""Velocity above which an axis is surely in motion [m/s]."""
+
+_HIDDEN = 2.0
+"""Friction that is believed to hide forces at rest over the known one [-]."""
 
 _RELIEF = StickSlipParams()
 
@@ -118,7 +169,11 @@ class VariableUniverseController(AxisController):
     integral_gain, integral_band : float
         Gain of the integral [1/(m s)] and error up to which it acts [m]; of no use with the
         observer.
-    duty_max, duty_slew, limits
+    surface : type of ContractedSurface
+        What becomes of the rules.
+    settle : float
+        Time of motion after which the observer has found the disturbance [s].
+    friction, duty_max, duty_slew, limits
         As `AxisController`.
 
     Attributes
@@ -147,8 +202,15 @@ class VariableUniverseController(AxisController):
     by millimetres; there is no integral action, so friction and load leave it off target.
     `production` therefore has larger floors, no recursion, an observed disturbance and
     feedforward; the relief from stick-slip is our own.  With an observer the contraction is worth
-    little: `FixedUniverseController` has the same rules without it and positions as well, and
-    `CascadeController` follows trajectories more closely.
+    little: on a `FixedSurface` the same rules position as well, and `CascadeController` follows
+    trajectories more closely.
+
+    The observer is told of the friction that is fed forward: it sees the duty without it, so that
+    only what the model does not know ends up in the observed disturbance.  Nothing is made up for
+    twice, and at a reversal the observer need not first unlearn the friction of the way there.
+    Where the reference sets off again the observer goes on from what it saw in motion of that
+    direction, see `MovingDisturbance`; friction that differs from the known one is learnt by that,
+    too.
 
     Duty has the sign of `axis.gain`: the source's positive duty drives to negative positions.
 
@@ -174,16 +236,17 @@ class VariableUniverseController(AxisController):
         rate_lag: float | None = None,
         integral_gain: float = 2000.0,
         integral_band: float = 3e-4,
-        duty_max: float = 1.0,
-        duty_slew: float = inf,
-        limits: FeedbackLimits | None = None,
+        surface: type[ContractedSurface] = ContractedSurface,
+        settle: float = 0.0125,
+        **limits: Any,
     ) -> None:
         if mode not in MODES:
             raise ValueError(f'mode: expected one of {", ".join(MODES)} but found {mode!r}')
-        super().__init__(axis, duty_max=duty_max, duty_slew=duty_slew, limits=limits)
+        super().__init__(axis, **limits)
         self.mode = mode
         self.params = params or _default_params(mode, observer)
-        self._check_params()
+        if mode != 'paper_literal' and surface.CONTRACTS:  # the published ones do not suit
+            self.params.warn_about(self.axis)
         production = mode == 'production'
         self._observer = DisturbanceObserver(axis, noise) if production and observer else None
         if rate_lag is None:
@@ -199,12 +262,14 @@ class VariableUniverseController(AxisController):
         self._relief = (
             StickSlipRelief(stick_slip, axis.period) if production and stick_slip else None
         )
-        self._surface = self._on_universes()
+        self._surface = surface(self.params, self._direction)
         self.law = self._surface.law
         self._per_velocity = 1.0 / axis.gain if production else 0.0
         self._per_acceleration = axis.lag * self._per_velocity
         self._error = self._error_rate = self._disturbance = self._output = 0.0
-        self._friction = 0.0  # what is fed forward of it, in the modes that know it
+        self._hides = _HIDDEN * max(abs(one) for one in limits.get('friction', (0.0,)))
+        self._going = 0  # direction of the reference in the last period
+        self._moving = MovingDisturbance(axis.period, settle)
         self._first = True
 
     @classmethod
@@ -361,20 +426,13 @@ class VariableUniverseController(AxisController):
         """Return errors [m] and error rates [m/s] on their contracted universes [-]."""
         return self._surface.inputs(error, rate)
 
-    def _check_params(self) -> None:
-        """Warn of parameters that do not suit the axis; the published ones are known not to."""
-        if self.mode != 'paper_literal':
-            self.params.warn_about(self.axis)
-
-    def _on_universes(self) -> ContractedSurface:
-        """Return the rules on the universes of the parameters."""
-        return ContractedSurface(self.params, self._direction)
-
     def _restart(self, position: float, duty: float) -> None:
         """Begin at rest at a position [m] that a duty [-] holds."""
         self._error = self._error_rate = 0.0
         self._disturbance = self._output = duty
         self._first = True
+        self._going = 0
+        self._moving.reset(duty)
         self._rate.reset(position)
         self._integral.reset(duty)
         if self._observer is not None:
@@ -387,6 +445,12 @@ class VariableUniverseController(AxisController):
     ) -> float:
         """Return the duty [-] that is wanted, whatever the limits."""
         observer = self._observer
+        if self._known is not None:
+            motion = velocity or acceleration
+            self._friction = self._known.of(velocity, acceleration, self._error)
+            if motion and observer is not None:
+                self._learn(observer, self._known.way, velocity)
+            self._going = self._known.way if motion else 0
         if observer is None:
             error = self._error = reference - position
             rate = self._error_rate = velocity - self._rate.of(position)
@@ -408,6 +472,18 @@ class VariableUniverseController(AxisController):
         if relief is None:
             return wanted
         return relief.duty(reference, position, wanted, self._duty)
+
+    def _learn(self, observer: DisturbanceObserver, way: int, velocity: float) -> None:
+        """Have the observer set off with what was seen in motion, and see what there is to see."""
+        if not self._going:
+            # At rest the observer is off by what friction takes; a load beyond that is seen.
+            seen, rest, hidden = self._moving.recall(way), observer.state[-1], self._hides
+            observer.state = (*observer.state[:-1], min(max(seen, rest - hidden), rest + hidden))
+        slowest = min(way * velocity, way * observer.state[observer.velocity_place])
+        if slowest > _MOVING and self._going == way:
+            self._moving.learn(way, observer.state[-1])
+        else:
+            self._moving.rest()
 
     def _recursion(self, error: float, rate: float) -> float:
         """Return the published output, scaled by a power of the last one."""
@@ -431,14 +507,14 @@ class VariableUniverseController(AxisController):
     def _commit(self, duty: float, position: float) -> None:
         """Go on to the next period, in which the duty [-] as limited is held."""
         if self._observer is not None:
-            self._observer.advance(duty, position)
+            self._observer.advance(duty - self._friction, position)
         else:
             self._integral.add(self._error, self._rate.value, self._saturated, duty)
 
     def _bridge(self, duty: float) -> None:
         """Go on to the next period without a reading."""
         if self._observer is not None:
-            self._observer.coast(duty)
+            self._observer.coast(duty - self._friction)
         else:
             self._rate.coast()
 

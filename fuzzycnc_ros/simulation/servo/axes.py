@@ -26,7 +26,6 @@ from fuzzycnc_ros.core.machine.axis_models import (
     PositionSensorConfig,
 )
 from fuzzycnc_ros.core.machine.machine_data import AxisData
-from fuzzycnc_ros.core.servo.axis import LinearAxis
 
 
 class DutyDelay:
@@ -114,10 +113,6 @@ class AxisPlant(ABC):
         ValueError
             If the duty is not finite.  The state is unchanged.
         """
-
-    @abstractmethod
-    def linear(self) -> LinearAxis:
-        """Return the nominal linear model: without friction, load, faults and gain changes."""
 
     def _cut(self, duty: float) -> float:
         """Return a duty within the drive's range."""
@@ -363,7 +358,7 @@ class LatheAxis(_Slide):
     """
 
     def __init__(self, config: LatheAxisConfig | None = None, *, position: float = 0.0) -> None:
-        self._config = config = config or LatheAxisConfig()
+        self.config = config = config or LatheAxisConfig()
         super().__init__(config, position, 0.0)
         self._shares = substep_shares(config)
         self._amplifier = self._torque = 0.0
@@ -375,7 +370,7 @@ class LatheAxis(_Slide):
 
     def drive(self, duty: float) -> None:
         """Hold a duty [-] for one period; refuses one that is not finite."""
-        config = self._config
+        config = self.config
         asked = config.direction * self._delay.of(self._cut(duty))
         amplify, build, keep, sense = self._shares
         gain, half_step = config.gain * config.gain_factor, 0.5 * self.period / config.substeps
@@ -406,10 +401,6 @@ class LatheAxis(_Slide):
         self._screw, self._slide, self._sensed = screw, slide, sensed
         self._step += 1
         self._sensor.advance()
-
-    def linear(self) -> LinearAxis:
-        """Return the nominal linear model: without friction, load, faults and gain changes."""
-        return self._config.linear()
 
 
 def substep_shares(config: LatheAxisConfig) -> tuple[float, float, float, float]:
@@ -466,7 +457,7 @@ class BallscrewAxis(_Slide):
         position: float = 0.0,
         velocity: float = 0.0,
     ) -> None:
-        self._config = config = config or BallscrewAxisConfig()
+        self.config = config = config or BallscrewAxisConfig()
         super().__init__(config, position, velocity)
         self._drive = 0.0
         self._mass = config.mass * config.mass_factor
@@ -482,11 +473,11 @@ class BallscrewAxis(_Slide):
 
     def measure(self) -> float:
         """Return the position as the sensor gives it now [m]; NaN while it gives none."""
-        return self._sensor.read(self._screw if self._config.sensor == 'encoder' else self._slide)
+        return self._sensor.read(self._screw if self.config.sensor == 'encoder' else self._slide)
 
     def drive(self, duty: float) -> None:
         """Hold a duty [-] for one period; refuses one that is not finite."""
-        config = self._config
+        config = self.config
         acting = self._delay.of(self._cut(duty))
         if config.drive_lag:
             acting = self._lagged(acting)
@@ -515,13 +506,9 @@ class BallscrewAxis(_Slide):
         self._step += 1
         self._sensor.advance()
 
-    def linear(self) -> LinearAxis:
-        """Return the nominal linear model: without friction, load, faults and gain changes."""
-        return self._config.linear()
-
     def _lagged(self, duty: float) -> float:
         """Return the mean of the lagged duty [-] over the next period."""
-        lag = self._config.drive_lag
+        lag = self.config.drive_lag
         keep = portable.exp(-self.period / lag)
         away = self._drive - duty
         self._drive = duty + away * keep
@@ -530,11 +517,15 @@ class BallscrewAxis(_Slide):
     def _move(self, way: float) -> None:
         """Turn the screw on by a way [m] without a stop in it; backlash takes its part."""
         self._screw += way
-        play = 0.5 * self._config.backlash
+        play = 0.5 * self.config.backlash
         self._slide = min(max(self._slide, self._screw - play), self._screw + play)
 
 
-def simulated_axis(data: AxisData, **changes: Any) -> AxisPlant:
+SimulatedAxis = LatheAxis | BallscrewAxis
+"""An axis of either model."""
+
+
+def simulated_axis(data: AxisData, **changes: Any) -> SimulatedAxis:
     """Return an axis as a simulated plant.
 
     Parameters

@@ -16,7 +16,7 @@ from scipy.optimize import differential_evolution
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData
-from fuzzycnc_ros.core.servo.axis_control import SETTINGS, make_axis_controller
+from fuzzycnc_ros.core.servo.axis_control import SETTINGS, make_axis_controller, setting_ranges
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning
 from fuzzycnc_ros.core.servo.profile import ProfileLimits, point_to_point
@@ -326,6 +326,7 @@ def tune_controller(
     data: AxisData,
     name: str,
     *,
+    search: Sequence[str] = tuple(SETTINGS),
     seed: int = 0,
     generations: int = 8,
     population: int = 6,
@@ -342,6 +343,8 @@ def tune_controller(
         The axis, with a plant.
     name : str
         Of `AXIS_CONTROLLERS`.
+    search : sequence of str
+        Settings that are searched; the others are not tuned.
     seed : int
         Seed of cases and search.
     generations, population : int
@@ -352,15 +355,16 @@ def tune_controller(
     Raises
     ------
     ValueError
-        If the axis has no plant or the name is unknown.
+        If the axis has no plant or a name is unknown.
     """
+    ranges = setting_ranges(data, name, search)
     cases = axis_cases(data, seed=seed)
     tried = done = 0
 
     def cost(point: Array) -> float:
         nonlocal tried
         tried += 1
-        return _cost(data, _figures_of(data, name, _settings(point), cases))
+        return _cost(data, _figures_of(data, name, _settings(ranges, point), cases))
 
     def told(best: Array, convergence: float = 0.0) -> None:
         nonlocal done
@@ -368,20 +372,20 @@ def tune_controller(
         if progress is not None:
             progress(done, generations)
 
-    search: Any = differential_evolution
-    outcome = search(
+    evolve: Any = differential_evolution
+    outcome = evolve(
         cost,
-        [(log(low), log(high)) for low, high, _ in SETTINGS.values()],
+        [(log(low), log(high)) for low, high, _ in ranges.values()],
         maxiter=generations,
         popsize=population,
         seed=np.random.default_rng(seed),  # SciPy before 1.15 knows no other name
         polish=False,
         updating='deferred',
-        x0=[log(plain) for _, _, plain in SETTINGS.values()],
+        x0=[log(plain) for _, _, plain in ranges.values()],
         callback=told,
         tol=0.0,
     )
-    judged = judged_controller(data, name, _settings(outcome.x), seed=seed)
+    judged = judged_controller(data, name, _settings(ranges, outcome.x), seed=seed)
     return replace(judged, cost=float(outcome.fun), trials=tried)
 
 
@@ -467,10 +471,10 @@ def _logs(figures: Sequence[AxisFigures]) -> Array:
     )
 
 
-def _settings(point: Array) -> dict[str, float]:
+def _settings(ranges: Mapping[str, tuple[float, float, float]], point: Array) -> dict[str, float]:
     return {
         name: float(np.clip(np.exp(value), low, high))
-        for (name, (low, high, _)), value in zip(SETTINGS.items(), point, strict=True)
+        for (name, (low, high, _)), value in zip(ranges.items(), point, strict=True)
     }
 
 

@@ -177,10 +177,11 @@ def position(
 
     Examples
     --------
+    >>> from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
     >>> from fuzzycnc_ros.simulation.servo.axes import LatheAxis
     >>> from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
     >>> axis = LatheAxis()
-    >>> run = position(VariableUniverseController(axis.linear()), axis, 1e-3, 0.5)
+    >>> run = position(VariableUniverseController(LatheAxisConfig().linear()), axis, 1e-3, 0.5)
     >>> run.settle() < 0.4, run.fault
     (True, '')
     """

@@ -11,15 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from fuzzycnc_ros.core.servo.stability import spectral_radii
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
-from fuzzycnc_ros.simulation.servo.axes import LatheAxis
-from fuzzycnc_ros.simulation.servo.positioning import position_many
-from fuzzycnc_ros.simulation.servo.tuning import (
-    GAIN_SPREAD,
-    move_costs,
-    production,
-    swing_cost,
-    tuning_moves,
-)
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.servo.positioning_page import microns
@@ -27,7 +18,9 @@ from fuzzycnc_ros.studies.servo.positioning_page import microns
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.servo.rule_learning import LearnedRules
     from fuzzycnc_ros.core.servo.stability import StabilityReport
-    from fuzzycnc_ros.simulation.servo.tuning import TuningResult
+
+GAIN_SPREAD = (0.5, 0.75, 1.0, 1.25, 1.5)
+"""Gains of the axis, as multiples of the nominal one, at which the loop has to settle."""
 
 MARKS = {'data': '', 'mirrored': '*', 'filled': '~'}
 """What stands behind a consequent, by where it is from."""
@@ -51,26 +44,6 @@ def rules_table(learned: LearnedRules, sets: tuple[str, ...]) -> Table:
 def rules_document(learned: LearnedRules) -> dict[str, Any]:
     """Return the rules and how well the records cover them."""
     return asdict(learned) | {'coverage': learned.coverage}
-
-
-def tuning_table(found: TuningResult, cost_before: float) -> Table:
-    """Return the settings that a search found, beside the defaults."""
-    from fuzzycnc_ros.core.servo.observer import ObserverNoise
-    from fuzzycnc_ros.core.servo.params import VariableUniverseParams
-
-    plain = VariableUniverseParams()
-    columns = (Column('Setting', numeric=False), Column('default'), Column('found'))
-    rows = [
-        (
-            name,
-            f'{getattr(plain, name, ObserverNoise().disturbance):.5g}',
-            f'{value:.5g}',
-        )
-        for name, value in found.settings.items()
-    ]
-    rows.append(('cost of the moves', f'{cost_before:.3f}', f'{found.cost:.3f}'))
-    title = f'Settings found in {found.evaluations:,} trials on {len(found.moves)} moves'
-    return Table(title, columns, tuple(rows))
 
 
 def stability_table(report: StabilityReport, title: str) -> Table:
@@ -132,10 +105,3 @@ def swinging(controller: VariableUniverseController) -> list[str]:
         for gain, size in spectral_radii(controller, GAIN_SPREAD).items()
         if size >= 1.0
     ]
-
-
-def default_cost() -> float:
-    """Return what the default settings cost on the moves of the search."""
-    moves, axis = tuning_moves(), LatheAxis().linear()
-    batch = position_many([production(axis, {}) for _ in moves], moves, 1.5)
-    return float(move_costs(batch).sum()) + swing_cost(production(axis, {}), 1.5)

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from fuzzycnc_ros.components.servo.controllers import CONTROLLERS
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.servo.axis import LinearAxis
+from fuzzycnc_ros.core.servo.axis_control import make_controller
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.profile import Reference, point_to_point, step_reference
 from fuzzycnc_ros.simulation.servo.axes import LatheAxis
@@ -21,7 +21,6 @@ from fuzzycnc_ros.simulation.servo.lathe_axes import LatheAxes, random_moves
 from fuzzycnc_ros.simulation.servo.positioning import PositioningRun, position, position_many
 from fuzzycnc_ros.studies.servo.positioning_page import LABELS
 
-Make = Callable[..., AxisController]
 Tell = Callable[[str, int, int], None]
 
 
@@ -240,7 +239,7 @@ def compare_controllers(
     Parameters
     ----------
     names : sequence of str
-        Of `CONTROLLERS`.
+        Of `LATHE_CONTROLLERS`.
     moves : int
         Random moves with moderate friction, and as many with hard; 0 for none.  Controllers that
         do not settle with friction at all make none.
@@ -251,8 +250,8 @@ def compare_controllers(
     """
     tell = progress or (lambda text, done, total: None)
     tell('all cases', 0, 1)
-    cases, axis = servo_cases(), LatheAxis().linear()
-    controllers = [CONTROLLERS[name](axis) for name in names for _ in cases]
+    cases, axis = servo_cases(), LatheAxisConfig().linear()
+    controllers = [make_controller(name, axis) for name in names for _ in cases]
     every = drive_many(controllers, list(cases.values()) * len(names), seed=seed)
     figures = {}
     for number, name in enumerate(names):
@@ -260,7 +259,7 @@ def compare_controllers(
         tell(f'{name}, random moves', 1 + number, 1 + len(names))
         # what does not even settle with friction has no business there
         settles = moves and np.isfinite(runs[FRICTION_CASE].settle())
-        random = _random(CONTROLLERS[name], axis, moves, seed) if settles else {}
+        random = _random(name, axis, moves, seed) if settles else {}
         figures[name] = _judged(name, runs, random, seed)
     return ServoComparison(step_names(), figures, moves, seed)
 
@@ -296,19 +295,19 @@ def _judged(
 
 def _waited(name: str, case: str, seed: int) -> float:
     """Return the settling time of a move that takes long [s]."""
-    move, axis = servo_cases()[case], LatheAxis().linear()
+    move, axis = servo_cases()[case], LatheAxisConfig().linear()
     plant = LatheAxis(LatheAxisConfig(seed=seed, substeps=5, **move.knobs))
-    return position(CONTROLLERS[name](axis), plant, move.reference, PATIENCE).settle()
+    return position(make_controller(name, axis), plant, move.reference, PATIENCE).settle()
 
 
-def _random(make: Make, axis: LinearAxis, count: int, seed: int) -> dict[str, RandomFigures]:
+def _random(name: str, axis: LinearAxis, count: int, seed: int) -> dict[str, RandomFigures]:
     """Make random moves of both kinds and return how far from their targets they end."""
     moves = [
         move
         for kind in FRICTIONS
         for move in random_moves(count, hard=kind == FRICTIONS[-1], seed=seed)
     ]
-    batch = position_many([make(axis) for _ in moves], moves, 4.0)
+    batch = position_many([make_controller(name, axis) for _ in moves], moves, 4.0)
     errors = batch.steady_error(3.0).reshape(len(FRICTIONS), count)
     faults = np.array([bool(fault) for fault in batch.fault]).reshape(errors.shape)
     return {

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of a position controller as a file: what tuning finds and what is learnt."""
+"""Numbers of a controller's universes, and rules that are learnt, as a file."""
 
 from __future__ import annotations
 
@@ -14,20 +14,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.servo.axis import LinearAxis
     from fuzzycnc_ros.core.servo.controller import AxisController
-    from fuzzycnc_ros.core.servo.params import VariableUniverseParams
     from fuzzycnc_ros.core.servo.rule_table import RuleTable
-
-NUMBERS = (
-    'error_range',
-    'rate_range',
-    'error_exponent',
-    'rate_exponent',
-    'error_floor',
-    'rate_floor',
-    'output_gain',
-    'disturbance',
-)
-"""Settings by name: those of `VariableUniverseParams`, and what the observer expects."""
 
 _KEYS = ('axis', 'settings', 'rules', 'about')
 
@@ -55,30 +42,26 @@ class ServoSettings:
 
     def controller(self, name: str, axis: str, model: LinearAxis) -> AxisController:
         """Return the controller of a name with these settings."""
-        from fuzzycnc_ros.components.servo.controllers import make_controller
-        from fuzzycnc_ros.core.servo.ballscrew import BallscrewController
+        from fuzzycnc_ros.core.servo.axis_control import DISTURBANCE, make_controller
+        from fuzzycnc_ros.core.servo.ballscrew import ballscrew_controller
         from fuzzycnc_ros.core.servo.observer import ObserverNoise
-        from fuzzycnc_ros.core.servo.params import VariableUniverseParams
 
-        given: dict[str, Any] = dict(self.numbers)
-        expected = given.pop('disturbance', None)
-        if self.rules is not None:
-            given['rules'] = self.rules
         try:
             if axis == 'ballscrew':
-                self._no(expected is not None, 'of the lathe axis')
-                plain = BallscrewController()
-                return BallscrewController(params=replace(plain.params, **given))
-            base: VariableUniverseParams = {
-                'variable_universe': VariableUniverseParams,
-                'variable_universe_model_free': VariableUniverseParams.model_free,
-                'variable_universe_static': VariableUniverseParams.minimal,
-            }[name]()
+                return ballscrew_controller(name, self.numbers, self.rules)
+            given: dict[str, Any] = dict(self.numbers)
             options: dict[str, Any] = {}
-            if expected is not None:
-                self._no(name != 'variable_universe', 'with an observer')
-                options['noise'] = replace(ObserverNoise(), disturbance=expected)
-            return make_controller(name, model, replace(base, **given), **options)
+            if DISTURBANCE in given:
+                if name != 'variable_universe':
+                    raise ValueError(
+                        'disturbance: expected with variable_universe, which has an observer, '
+                        'but found it'
+                    )
+                options['noise'] = replace(ObserverNoise(), disturbance=given.pop(DISTURBANCE))
+            if self.rules is not None:
+                given['rules'] = self.rules
+            plain: Any = make_controller(name, model)
+            return make_controller(name, model, replace(plain.params, **given), **options)
         except ValueError as error:
             raise ValueError(f'{self.path}: {error}') from error
 
@@ -104,12 +87,6 @@ class ServoSettings:
                 'the margins'
             )
 
-    def _no(self, given: bool, where: str) -> None:
-        if given:
-            raise ValueError(
-                f'disturbance: expected with variable_universe {where} alone but found it'
-            )
-
 
 def read_settings(path: Path) -> ServoSettings:
     """Read a file of settings, YAML or JSON.
@@ -120,14 +97,20 @@ def read_settings(path: Path) -> ServoSettings:
         If it is none; the message names the file and what is wrong.
     """
     from fuzzycnc_ros.bags.yaml_file import compose, construct
+    from fuzzycnc_ros.core.servo.axis_control import DISTURBANCE, UNIVERSES
     from fuzzycnc_ros.core.servo.rule_table import RuleTable
 
     document = construct(path, compose(path, 'a file of settings, YAML or JSON'))
+    if isinstance(document, dict) and 'axes' in document:
+        raise ValueError(
+            f"{path}: expected 'settings' or 'rules' but found the axes of a machine file, which "
+            'has the settings of its controllers; give it as machine file'
+        )
     if not isinstance(document, dict) or not document.keys() & {'settings', 'rules'}:
         raise ValueError(f"{path}: expected 'settings' or 'rules', or both, but found neither")
     _check_keys(path, '', document, _KEYS)
     numbers = _mapping(path, 'settings', document.get('settings', {}))
-    _check_keys(path, 'settings: ', numbers, NUMBERS)
+    _check_keys(path, 'settings: ', numbers, (*UNIVERSES, DISTURBANCE))
     found = {name: _number(path, name, value) for name, value in numbers.items()}
     rules = None
     if 'rules' in document:
@@ -145,23 +128,16 @@ def read_settings(path: Path) -> ServoSettings:
     return ServoSettings(path, str(document.get('axis', '')), found, rules)
 
 
-def settings_text(
-    path: Path,
-    axis: str,
-    *,
-    numbers: Mapping[str, float] | None = None,
-    rules: RuleTable | None = None,
-    about: str,
-) -> str:
-    """Return the text of a file of settings: JSON if the path is called that, else YAML."""
-    document: dict[str, Any] = {'about': about, 'axis': axis}
-    if numbers is not None:
-        document['settings'] = {name: float(value) for name, value in numbers.items()}
-    if rules is not None:
-        document['rules'] = {
+def rules_text(path: Path, axis: str, rules: RuleTable, about: str) -> str:
+    """Return the text of a file of rules: JSON if the path is called that, else YAML."""
+    document = {
+        'about': about,
+        'axis': axis,
+        'rules': {
             'centres': list(rules.centres),
             'values': [[round(value, 6) for value in row] for row in rules.values],
-        }
+        },
+    }
     if path.suffix.lower() == '.json':
         return json.dumps(document, indent=2) + '\n'
     import yaml

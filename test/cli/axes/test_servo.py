@@ -37,7 +37,7 @@ def recorded(direction=1.0):
     rows, start = [], 1.0
     for seed, target in enumerate((-0.19, -0.05, 0.05, 0.19)):
         axis = LatheAxis(LatheAxisConfig(seed=seed, direction=direction))
-        run = position(PidController(axis.linear()), axis, target, 1.0)
+        run = position(PidController(axis.config.linear()), axis, target, 1.0)
         rows.append(np.column_stack([start + run.time, run.reference, run.measured, run.duty]))
         start += 2.0
     return np.concatenate(rows)
@@ -234,53 +234,51 @@ def test_rules_that_swing_are_named(fuzzycnc, tmp_path, moves):
     assert 'swings' in shown.out
 
 
-def test_tune_writes_settings_that_can_be_used(fuzzycnc, tmp_path):
+def test_tune_without_a_machine_file_is_about_a_built_in_one(fuzzycnc, tmp_path):
     outcome = fuzzycnc(
         'servo', 'tune', '--search', 'output_gain,disturbance', '--population', '3',
-        '--generations', '2', '--seed', '1', '--out', 's.json', '--json', 'out.json',
+        '--generations', '1', '--seed', '1', '--out', 't.yaml', '--json', 'out.json',
     )  # fmt: skip
     assert outcome.code == 0, outcome.err
     document = json.loads((tmp_path / 'out.json').read_text())
-    written = json.loads((tmp_path / 's.json').read_text())
-    assert written['settings'] == document['settings']
+    # PID and cascade have no such settings
+    tuned = {one['name'] for one in document['controllers']}
+    assert tuned == {'linear_tangent', 'variable_universe'}
+    written = yaml.safe_load((tmp_path / 't.yaml').read_text())['axes']['X']['controller']
     assert set(written['settings']) == {'output_gain', 'disturbance'}
-    assert document['history'] == sorted(document['history'], reverse=True)
-    assert f'{document["cost"]:.3f}' in outcome.out
-    move = fuzzycnc('position', '--to', '5mm', '--params', 's.json')
+    move = fuzzycnc('position', '--machine-file', 't.yaml', '--to', '5mm', '--duration', '0.3s')
     assert move.code == 0, move.err
+    # Before, the file had settings alone.
+    outcome = fuzzycnc('position', '--to', '5mm', '--params', 't.yaml')
+    assert outcome.code == 2
+    assert "t.yaml: expected 'settings' or 'rules' but found the axes of a machine" in outcome.err
 
 
 @pytest.mark.parametrize(
-    ('options', 'searcher', 'generations'),
+    ('options', 'axis', 'generations'),
     [
-        ((), 'simulation.servo.tuning.tune', 30),
-        (('--machine-file', 'ballscrew'), 'cli.axes.servo_machine.tune_machine_axis', 8),
-        (('--generations', '5'), 'simulation.servo.tuning.tune', 5),
-        (
-            ('--machine-file', 'ballscrew', '--generations', '5'),
-            'cli.axes.servo_machine.tune_machine_axis',
-            5,
-        ),
+        ((), 'lathe', 8),
+        (('--axis', 'ballscrew'), 'ballscrew', 8),
+        (('--machine-file', 'ballscrew', '--generations', '5'), 'ballscrew', 5),
     ],
 )
 def test_tune_searches_for_as_many_generations_as_its_help_says(
-    fuzzycnc, monkeypatch, options, searcher, generations
+    fuzzycnc, monkeypatch, options, axis, generations
 ):
-    """An axis of a machine has four controllers to tune, each in fewer generations."""
     searched = []
 
-    def search(*arguments, **named):
-        searched.append(named.get('generations') or arguments[3].generations)
+    def search(file, *arguments):
+        searched.append((file, arguments[2].generations))
         raise ValueError('searched')
 
-    monkeypatch.setattr(f'fuzzycnc_ros.{searcher}', search)
+    monkeypatch.setattr('fuzzycnc_ros.cli.axes.servo_machine.tune_machine_axis', search)
     outcome = fuzzycnc('servo', 'tune', '--out', 's.yaml', *options)
     assert 'searched' in outcome.err
-    assert searched == [generations]
+    assert searched == [(axis, generations)]
 
 
 def test_settings_that_swing_off_the_nominal_gain_are_named():
-    axis = LatheAxis().linear()
+    axis = LatheAxisConfig().linear()
     assert swinging(VariableUniverseController(axis)) == []
     sharp = VariableUniverseParams(error_floor=0.025744, error_exponent=0.56426)
     (line,) = swinging(VariableUniverseController(axis, sharp))
@@ -310,7 +308,6 @@ def test_stability(fuzzycnc, tmp_path):
         (('compare', '--controllers', 'magic'), ['--controllers', "'magic'", 'cascade']),
         (('compare', '--moves', '-1'), ['--moves', '0 or more']),
         (('compare', '--report', 'no/page.html'), ['no/page.html', 'folder']),
-        (('tune', '--out', 's.yaml', '--axis', 'ballscrew'), ['--axis', 'lathe', 'ballscrew']),
         (('tune', '--out', 's.yaml', '--axis', 'mill'), ['--axis', "'mill'"]),
         (('tune', '--out', 's.yaml', '--generations', '0'), ['--generations', '1 or more']),
         (('tune', '--out', 's.yaml', '--search', 'luck'), ['--search', "'luck'", 'rate_range']),

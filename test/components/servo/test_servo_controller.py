@@ -10,10 +10,10 @@ from benches.component_bench import machine_state
 from benches.servo_bench import PERIOD, START, Axis
 from benches.trajectory_bench import line, parts, record
 
-from fuzzycnc_ros.components.servo.controllers import FOR_USE
 from fuzzycnc_ros.components.servo.servo_controller import ServoControllerConfig
 from fuzzycnc_ros.components.servo.servo_controller_config import make_controllers
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
+from fuzzycnc_ros.core.servo.axis_control import FOR_USE
 from fuzzycnc_ros.core.servo.profile import point_to_point
 from fuzzycnc_ros.runtime.enums import MachineMode, ServoStatus
 from fuzzycnc_ros.runtime.records import SECOND

@@ -8,9 +8,9 @@ from benches.component_bench import machine_state
 from benches.servo_bench import PERIOD, START, Axis
 
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
-from fuzzycnc_ros.components.servo.controllers import FOR_USE
 from fuzzycnc_ros.components.servo.servo_controller import ServoController
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
+from fuzzycnc_ros.core.servo.axis_control import FOR_USE
 from fuzzycnc_ros.runtime.enums import MachineMode, ServoStatus
 from fuzzycnc_ros.runtime.records import SECOND, AxisCommand, AxisState, MachineState
 from fuzzycnc_ros.simulation.servo.axes import LatheAxis

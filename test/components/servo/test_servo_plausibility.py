@@ -93,7 +93,7 @@ def test_coarser_counts_are_found_within_periods():
 
 
 def test_a_glitch_is_no_change_of_the_count():
-    axis = LatheAxis().linear()
+    axis = LatheAxisConfig().linear()
     watch = MotionWatch(axis, FeedbackLimits.of(axis))
     for period in range(100):
         watch.hold(0.0)
@@ -102,7 +102,7 @@ def test_a_glitch_is_no_change_of_the_count():
 
 
 def test_after_an_interruption_nothing_is_held_against_what_was_before():
-    axis = LatheAxis().linear()
+    axis = LatheAxisConfig().linear()
     watch = MotionWatch(axis, FeedbackLimits.of(axis))
     for _ in range(50):
         watch.hold(0.0)
@@ -138,7 +138,7 @@ def ramp(watch, speed, duty):
     ],
 )
 def test_what_a_duty_makes_of_an_axis(gain, speed, duty, reason):
-    axis = LatheAxis(LatheAxisConfig(direction=float(np.sign(gain)))).linear()
+    axis = LatheAxisConfig(direction=float(np.sign(gain))).linear()
     watch = MotionWatch(axis, FeedbackLimits.of(axis), MotionDoubt())
     period = ramp(watch, speed * np.sign(gain), duty)
     assert (period is None) == (reason == '')

@@ -7,16 +7,21 @@ import math
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
-from fuzzycnc_ros.core.servo.ballscrew import BallscrewController
+from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
+from fuzzycnc_ros.core.servo.ballscrew import ballscrew_controller
 from fuzzycnc_ros.core.servo.friction import MovingDisturbance
 from fuzzycnc_ros.core.servo.observer import ObserverDesign, ObserverNoise
 from fuzzycnc_ros.core.servo.profile import point_to_point
-from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, LatheAxis
+from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
 from fuzzycnc_ros.simulation.servo.positioning import position
 
-AXIS = BallscrewAxis().linear()
+AXIS = BallscrewAxisConfig().linear()
 FORCE = BallscrewAxisConfig().force_max
+
+
+def ruled(plant=None, **settings):
+    """Return the production controller of the ball screw, with other settings."""
+    return ballscrew_controller('variable_universe', settings, **(plant or {}))
 
 
 def drive(controller, axis, reference, velocity=0.0, periods=1000):
@@ -30,20 +35,21 @@ def drive(controller, axis, reference, velocity=0.0, periods=1000):
 @pytest.mark.parametrize(
     ('knobs', 'message'),
     [
-        ({'friction': 1.5}, 'friction: expected 0 to 1 but found 1.5'),
-        ({'friction': math.nan}, 'friction: expected 0 to 1'),
-        ({'observer_bandwidth': 0.0}, 'bandwidth: expected a positive number but found 0.0'),
-        ({'bandwidth': 0.5}, 'the axis damps itself more'),
+        ({'friction': 1.5}, 'friction from 0 to 1 but found 1.5'),
+        ({'friction': math.nan}, 'friction from 0 to 1'),
+        ({'estimator': 0.0}, 'estimator from 0.2 to 8 but found 0.0'),
+        ({'bandwidth': 0.005}, 'bandwidth from 0.25 to 12 but found 0.005'),
+        ({'speed': 1.0}, "output_gain, disturbance for variable_universe but found 'speed'"),
     ],
 )
 def test_settings_without_meaning_are_refused(knobs, message):
     with pytest.raises(ValueError, match=message):
-        BallscrewController(**knobs)
+        ruled(**knobs)
 
 
 @pytest.mark.parametrize('bandwidth', [30.0, 60.0])
 def test_the_gains_close_a_critically_damped_loop(bandwidth):
-    params = BallscrewController(bandwidth=bandwidth).params
+    params = ruled(bandwidth=bandwidth / 100.0).params
     # duty feeds back position and velocity: s^2 + s (1 + k gain) / lag + k gain / lag
     stiffness = params.error_gain * AXIS.gain / AXIS.lag
     damping = (1.0 + params.rate_gain * AXIS.gain) / AXIS.lag
@@ -52,7 +58,7 @@ def test_the_gains_close_a_critically_damped_loop(bandwidth):
     assert params.rate_range / AXIS.gain == pytest.approx(0.94036 / 0.286)
 
 
-@pytest.mark.parametrize('axis', [AXIS, LatheAxis().linear()], ids=['ballscrew', 'lathe'])
+@pytest.mark.parametrize('axis', [AXIS, LatheAxisConfig().linear()], ids=['ballscrew', 'lathe'])
 def test_the_observer_does_not_depend_on_the_assumed_error_of_the_sensor(axis):
     fine, coarse = (
         ObserverDesign.of(axis, ObserverNoise.of_bandwidth(axis, 150.0, sensor)).gain
@@ -76,7 +82,7 @@ def test_what_is_fed_forward_does_not_end_up_in_the_observed_disturbance(velocit
     config = BallscrewAxisConfig()
     observed = []
     for share in (0.0, 1.0):
-        controller, axis = BallscrewController(friction=share), BallscrewAxis()
+        controller, axis = ruled(friction=share), BallscrewAxis()
         drive(controller, axis, 0.0, velocity)
         observed.append(FORCE * controller.status.disturbance)
     friction = math.copysign(config.coulomb_forward, velocity)
@@ -89,7 +95,7 @@ def test_friction_known_takes_the_error_out_of_a_reversal():
     reference, velocity = 0.02 * time - 0.185 * time**2, 0.02 - 0.37 * time
     largest = []
     for share in (0.0, 1.0):
-        controller, axis, errors = BallscrewController(friction=share), BallscrewAxis(), []
+        controller, axis, errors = ruled(friction=share), BallscrewAxis(), []
         start = drive(controller, axis, 0.0, 0.02)
         for target, speed in zip((start + reference).tolist(), velocity.tolist(), strict=True):
             errors.append(abs(target - axis.position))
@@ -101,7 +107,7 @@ def test_friction_known_takes_the_error_out_of_a_reversal():
 @pytest.mark.parametrize('direction', [1.0, -1.0])
 def test_it_positions_whichever_way_the_duty_drives(direction):
     config = BallscrewAxisConfig(direction=direction)
-    controller, axis = BallscrewController(config), BallscrewAxis(config)
+    controller, axis = ruled({'direction': direction}), BallscrewAxis(config)
     target = drive(controller, axis, 0.0, 0.05)
     drive(controller, axis, target)
     assert abs(axis.position - target) < 1e-7
@@ -110,7 +116,7 @@ def test_it_positions_whichever_way_the_duty_drives(direction):
 
 @pytest.mark.parametrize('step', [1e-3, -1e-2])
 def test_a_step_does_not_overshoot(step):
-    controller, axis = BallscrewController(), BallscrewAxis()
+    controller, axis = ruled(), BallscrewAxis()
     left = []
     for _ in range(1000):
         axis.drive(controller.step(step, axis.measure()))
@@ -136,14 +142,14 @@ def test_a_profile_does_not_end_stuck_short_of_its_target(name, target):
     knobs, patience = MOVES[name]
     profile = point_to_point(0.0, target)
     plant = BallscrewAxis(BallscrewAxisConfig(**knobs))
-    run = position(BallscrewController(), plant, profile.sample(1e-3), 2.5)
+    run = position(ruled(), plant, profile.sample(1e-3), 2.5)
     assert run.settle() - profile.duration < patience
     assert not run.fault
 
 
 def test_a_missing_reading_while_friction_is_fed_forward_is_bridged():
     config = BallscrewAxisConfig(dropout_time=0.5, dropout_duration=4e-3)
-    controller, axis = BallscrewController(), BallscrewAxis(config)
+    controller, axis = ruled(), BallscrewAxis(config)
     target = drive(controller, axis, 0.0, 0.05, periods=510)
     assert abs(axis.position - target) < 20e-6
     assert controller.status.bad_total == 4
@@ -179,7 +185,7 @@ SET_OFF = {
 def test_it_sets_off_after_a_rest_with_what_it_saw_in_motion(name):
     """With what the observer learns at rest the errors reach 4.8, 34 and 4.1 um."""
     config, bound = SET_OFF[name]
-    controller, axis = BallscrewController(), BallscrewAxis(config)
+    controller, axis = ruled(), BallscrewAxis(config)
     rng, place, worst = np.random.default_rng(1), 0.0, []
     for _ in range(24):
         edges = np.repeat([1.0, -1.0], rng.integers(8, 80)) * rng.choice([-1.0, 1.0])
@@ -195,7 +201,7 @@ def test_it_sets_off_after_a_rest_with_what_it_saw_in_motion(name):
 
 
 def test_an_axis_that_waits_while_others_move_sets_off_with_nothing_learnt_at_rest():
-    controller, axis = BallscrewController(), BallscrewAxis()
+    controller, axis = ruled(), BallscrewAxis()
     place, worst = 0.0, 0.0
     # to 0.6 mm/s and back, too slow to learn from: 18 um with what is seen at rest
     for _ in range(4):

@@ -9,23 +9,23 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
+from fuzzycnc_ros.core.servo.axis_control import make_controller
 from fuzzycnc_ros.core.servo.baselines import CascadeController, PidController
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 from fuzzycnc_ros.core.servo.filtered_rate import Integrator
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning, VariableUniverseParams
 from fuzzycnc_ros.core.servo.profile import ProfileLimits, point_to_point
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
-from fuzzycnc_ros.papers.servo import FixedUniverseController
 from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position
 
-AXIS = LatheAxis().linear()
+AXIS = LatheAxisConfig().linear()
 CONTROLLERS = {
     'production': lambda axis, **more: VariableUniverseController(axis, **more),
     'model_free': lambda axis, **more: VariableUniverseController(axis, observer=False, **more),
     'static': lambda axis, **more: VariableUniverseController(axis, mode='static', **more),
     'literal': lambda axis, **more: VariableUniverseController(axis, mode='paper_literal', **more),
-    'fixed': FixedUniverseController,
+    'fixed': lambda axis, **more: make_controller('fixed_universe', axis, **more),
     'pid': PidController,
     'cascade': CascadeController,
 }
@@ -53,7 +53,7 @@ def test_all_controllers_reach_the_target_with_friction(name):
 @pytest.mark.parametrize('sign', [1.0, -1.0])
 def test_duty_has_the_sign_of_the_axis(name, sign):
     axis = LatheAxis(LatheAxisConfig(direction=sign))
-    controller = CONTROLLERS[name](axis.linear())
+    controller = CONTROLLERS[name](axis.config.linear())
     found = position(controller, axis, 1e-3, 0.2)
     assert np.sign(found.duty[0]) == sign
     assert found.position[-1] > 1e-5
@@ -258,7 +258,7 @@ def test_a_wrong_sign_is_noticed_within_20_ms_of_wrong_motion(name, reference, k
 
 
 def test_a_wrong_sign_is_noticed_on_the_ball_screw_too():
-    axis = BallscrewAxis().linear()
+    axis = BallscrewAxisConfig().linear()
     controller = VariableUniverseController.for_axis(axis, count=5e-8)
     wrong = BallscrewAxis(BallscrewAxisConfig(direction=-1.0))
     found = position(controller, wrong, profile(0.1, acceleration=1.0), 1.0)
@@ -301,7 +301,7 @@ def test_a_wrong_unit_is_refused():
 
 def test_a_ball_screw_that_nothing_was_tuned_on_follows_a_profile():
     axis = BallscrewAxis()
-    controller = VariableUniverseController.for_axis(axis.linear(), count=5e-8)
+    controller = VariableUniverseController.for_axis(axis.config.linear(), count=5e-8)
     found = position(controller, axis, profile(0.1, acceleration=1.0), 1.2)
     largest, _ = found.following_error()
     assert largest < 100e-6
@@ -375,7 +375,6 @@ def test_refusals_of_feedback_limits(change):
     [
         (PidController, {'proportional': -1.0}, 'proportional: expected 0 or more'),
         (CascadeController, {'velocity_gain': 0.0}, 'velocity_gain: expected a positive'),
-        (FixedUniverseController, {'rate_range': 0.0}, 'rate_range: expected a positive'),
     ],
 )
 def test_refusals_of_baselines(make, options, message):

@@ -1,15 +1,14 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is around the law: observer, relief from stick-slip, stability report, tuning, runs."""
+"""What is around the law: observer, relief from stick-slip, stability report, runs."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
+from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
 from fuzzycnc_ros.core.servo.axis import LinearAxis, response_lag
-from fuzzycnc_ros.core.servo.baselines import PidController
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 from fuzzycnc_ros.core.servo.observer import (
     DisturbanceObserver,
@@ -19,28 +18,20 @@ from fuzzycnc_ros.core.servo.observer import (
 )
 from fuzzycnc_ros.core.servo.params import VariableUniverseParams, settles, ultimate_gain
 from fuzzycnc_ros.core.servo.profile import point_to_point
-from fuzzycnc_ros.core.servo.stability import spectral_radii, stability_report
+from fuzzycnc_ros.core.servo.stability import stability_report
 from fuzzycnc_ros.core.servo.stick_slip import StickSlipParams
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
-from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, LatheAxis
+from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.lathe_axes import LatheMove
 from fuzzycnc_ros.simulation.servo.positioning import PositioningRun, position, position_many
-from fuzzycnc_ros.simulation.servo.tuning import (
-    GAIN_SPREAD,
-    move_costs,
-    production,
-    swing_cost,
-    tune,
-    tuning_moves,
-)
 
-AXIS = LatheAxis().linear()
+AXIS = LatheAxisConfig().linear()
 SMOOTH = {'coulomb': 0.0, 'breakaway': 0.0}
 
 
 CHAINS = {
     'lathe': AXIS,
-    'ballscrew': BallscrewAxis().linear(),
+    'ballscrew': BallscrewAxisConfig().linear(),
     'one lag': LinearAxis.chain(-0.3, {'drive': 2e-3}, 0.02, period=1e-3),
     'one lag and sensor': LinearAxis.chain(
         0.3, {'drive': 2e-3}, 0.02, sensor_lag=3e-3, period=2e-3
@@ -288,102 +279,3 @@ def test_moves_side_by_side_are_the_moves_one_by_one():
         assert batch.position[k] == pytest.approx(run.position, abs=1e-9)
         assert batch.settle(1e-5)[k] == pytest.approx(run.settle(1e-5), abs=2e-3)
     assert batch.overshoot.shape == batch.steady_error(0.3).shape == (3,)
-
-
-def short_moves():
-    return [LatheMove(LatheAxisConfig(gain_factor=factor), 2e-3) for factor in (0.6, 1.4)]
-
-
-def test_tuning_finds_better_settings_and_repeats_itself():
-    bounds = {'output_gain': (0.8, 4.0), 'error_floor': (0.01, 0.3)}
-    told = []
-    results = [
-        tune(
-            bounds=bounds,
-            moves=short_moves(),
-            seed=3,
-            generations=3,
-            population=3,
-            duration=0.4,
-            progress=lambda *what: told.append(what),
-        )
-        for _ in range(2)
-    ]
-    first = results[0]
-    assert first.settings == results[1].settings
-    assert first.cost == results[1].cost == first.history[-1]
-    assert list(first.history) == sorted(first.history, reverse=True)
-    assert told[:3] == [(k + 1, 3, first.history[k]) for k in range(3)]
-    assert all(low <= first.settings[name] <= high for name, (low, high) in bounds.items())
-    assert first.evaluations == 4 * 6
-    controllers = [production(AXIS, first.settings) for _ in range(2)]
-    again = move_costs(position_many(controllers, short_moves(), 0.4))
-    assert again.sum() == pytest.approx(first.cost, rel=0.2)  # judged with fewer substeps
-
-
-def test_cost_puts_moves_that_fail_last():
-    moves = [
-        LatheMove(LatheAxisConfig(), 2e-3),
-        LatheMove(LatheAxisConfig(), 0.15),
-        LatheMove(LatheAxisConfig(direction=-1.0), 2e-3),
-    ]
-    controllers = [VariableUniverseController(AXIS) for _ in moves]
-    good, late, away = move_costs(position_many(controllers, moves, 0.5))
-    assert good < 0.6 < late < away
-
-
-def test_tuning_covers_the_spread_of_the_gain():
-    factors = {move.config.gain_factor for move in tuning_moves()}
-    assert min(factors) == 0.5
-    assert max(factors) == 1.5
-
-
-SHARP = {'error_floor': 0.025744, 'error_exponent': 0.56426}
-"""Settings whose loop swings at x1.5 of the axis' gain, which friction hides."""
-
-
-def test_a_gain_at_which_the_loop_swings_costs_as_much_as_a_move_that_does_not_settle():
-    assert swing_cost(production(AXIS, {}), 1.5) == 0.0
-    sharp = production(AXIS, SHARP)
-    radii = spectral_radii(sharp, GAIN_SPREAD)
-    assert [gain for gain, radius in radii.items() if radius >= 1.0] == [1.5]
-    assert swing_cost(sharp, 1.5) == pytest.approx(3.0 + 100.0 * (radii[1.5] - 1.0))
-    assert swing_cost(PidController(AXIS), 1.5) == 0.0  # by its moves alone
-
-
-def test_tuning_counts_what_friction_hides():
-    # one sticky move at the nominal gain, in which both settle
-    moves = [LatheMove(LatheAxisConfig(), 2e-3)]
-    bounds = {'error_exponent': (0.56425, 0.56427)}
-    around = {name: value for name, value in SHARP.items() if name not in bounds}
-    found = tune(
-        lambda axis, settings: production(axis, {**around, **settings}),
-        bounds,
-        moves,
-        generations=1,
-        population=5,
-        duration=0.4,
-    )
-    (cost,) = move_costs(position_many([production(AXIS, SHARP)], moves, 0.4))
-    assert found.cost > cost + 0.7
-
-
-def test_moves_share_a_design_where_their_axes_are_alike():
-    moves = [LatheMove(LatheAxisConfig(seed=1, gain_factor=factor), 1e-3) for factor in (0.5, 1.5)]
-    moves.append(LatheMove(LatheAxisConfig(direction=-1.0), 1e-3))
-    made = []
-
-    def make(axis, settings):
-        made.append(axis.gain)
-        return production(axis, settings)
-
-    options = {'generations': 1, 'population': 5, 'duration': 0.1}
-    tune(make, {'output_gain': (2.0, 3.0)}, moves, **options)
-    assert made == [0.286, -0.286] * 10
-
-
-def test_refusals_of_tuning():
-    with pytest.raises(ValueError, match='two increasing numbers for output_gain'):
-        tune(bounds={'output_gain': (2.0, 1.0)})
-    with pytest.raises(ValueError, match='one move or more'):
-        tune(moves=[])

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.servo.rule_learning import (
     DATA,
     EMPTY,
@@ -199,4 +200,4 @@ def test_records_of_its_own_run_are_the_controllers_own_rules(controller):
 
 @pytest.fixture
 def controller():
-    return VariableUniverseController(LatheAxis().linear(), stick_slip=None)
+    return VariableUniverseController(LatheAxisConfig().linear(), stick_slip=None)

@@ -11,9 +11,9 @@ from typing import Any, Protocol
 from campaign.relay import Relay
 from fuzzycnc_ros.components.machine.simulated_machine_config import SimulatedMachineConfig
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.components.servo.servo_axes import make_plant
 from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
 from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
+from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.ros.bring_up import THERMAL
 
@@ -41,7 +41,7 @@ _BRAKING = SCHEDULER.path_velocity / SCHEDULER.path_acceleration
 BY_PATH = SCHEDULER.lead + _BRAKING + SCHEDULER.settle + 2.0 * SCHEDULER.period
 """Machine time [s] in which axes rest that get no more parts of a trajectory, from when the next
 one was to be sent: what they have been given is over, they brake on the path, and arrive."""
-AXIS: LinearAxis = make_plant('lathe', period=SERVO.period).linear()
+AXIS: LinearAxis = LatheAxisConfig(period=SERVO.period).linear()
 """Nominal model of the driven axes."""
 _COASTING = AXIS.lag * log(AXIS.gain / RESTING)
 BY_DRIVE = SERVO.command_validity + SERVO.silence_max + _COASTING + 10.0 * SERVO.period

@@ -95,7 +95,7 @@ def test_it_is_what_small_steps_converge_to():
 
 
 def test_without_friction_it_is_its_linear_model():
-    dynamics, entry, _ = BallscrewAxis().linear().discrete()
+    dynamics, entry, _ = BallscrewAxisConfig().linear().discrete()
     state = np.zeros(2)
     duties = wild_duties(1)
     found = states(duties, **FREE)

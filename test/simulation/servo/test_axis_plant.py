@@ -10,15 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
+from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
 from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.simulation.servo.axes import (
-    BallscrewAxis,
-    LatheAxis,
     stribeck_friction,
     stribeck_frictions,
 )
 
-AXES = {'lathe': LatheAxis().linear(), 'ballscrew': BallscrewAxis().linear()}
+AXES = {'lathe': LatheAxisConfig().linear(), 'ballscrew': BallscrewAxisConfig().linear()}
 speeds = st.one_of(st.just(0.0), st.floats(-0.3, 0.3))
 pushes = st.floats(-1.0, 1.0)
 levels = st.floats(0.0, 0.1)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tiers import rest_slow
 
+from fuzzycnc_ros.core.servo.axis_control import make_controller
 from fuzzycnc_ros.core.servo.rule_learning import learn_rules
 from fuzzycnc_ros.core.servo.rule_table import SETS
 from fuzzycnc_ros.core.servo.stability import StabilityReport
@@ -18,7 +19,6 @@ from fuzzycnc_ros.studies.servo import positioning_page as positioning
 from fuzzycnc_ros.studies.servo.positioning_page import LABELS, run_chart
 from fuzzycnc_ros.studies.servo.positioning_rules import rules_table, stability_table
 from fuzzycnc_ros.studies.servo.servo_cases import (
-    CONTROLLERS,
     RADIUS,
     ControllerFigures,
     RandomFigures,
@@ -194,10 +194,12 @@ def test_cases_side_by_side_are_those_one_by_one(name):
     from fuzzycnc_ros.simulation.servo.axes import LatheAxis
     from fuzzycnc_ros.simulation.servo.positioning import position
 
-    case, axis = servo_cases()[name], LatheAxis().linear()
-    (batch,) = drive_many([CONTROLLERS['variable_universe'](axis)], [case], seed=3)
+    case, axis = servo_cases()[name], LatheAxisConfig().linear()
+    (batch,) = drive_many([make_controller('variable_universe', axis)], [case], seed=3)
     plant = LatheAxis(LatheAxisConfig(seed=3, **case.knobs), position=case.start)
-    alone = position(CONTROLLERS['variable_universe'](axis), plant, case.reference, case.duration)
+    alone = position(
+        make_controller('variable_universe', axis), plant, case.reference, case.duration
+    )
     assert len(batch.time) == len(alone.time)
     np.testing.assert_allclose(batch.position, alone.position, atol=2e-7)
 

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of a controller from simulated moves, by differential evolution.
+"""The search by which the settings of the lathe axis were found, for controllers of any kind.
 
 The spread of the axis' gain belongs into the moves: settings found
 on the nominal axis alone swing on another.
@@ -9,9 +9,9 @@ on the nominal axis alone swing on another.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from copy import deepcopy
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,12 +25,14 @@ from fuzzycnc_ros.core.servo.observer import ObserverNoise
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning, VariableUniverseParams
 from fuzzycnc_ros.core.servo.stability import spectral_radii
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
-from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.lathe_axes import LatheMove
 from fuzzycnc_ros.simulation.servo.positioning import PositioningBatch, position_many
 
 _TOLERANCE = 2e-6
 """Distance to the target within which a move counts as settled [m]."""
+
+_DURATION = 1.5
+"""Length of the moves [s]."""
 
 _SUBSTEPS = 5
 """Steps of the simulation per period; exact to 0.6 um of a second's motion."""
@@ -40,9 +42,6 @@ GAIN_SPREAD = (0.5, 0.75, 1.0, 1.25, 1.5)
 
 _PER_RADIUS = 100.0
 """Cost of what a spectral radius exceeds 1 by [-], which leads the search back."""
-
-_Progress = Callable[[int, int, float], None]
-"""Told after every generation: generation, their largest number, best cost so far."""
 
 Make = Callable[[LinearAxis, Mapping[str, float]], AxisController]
 """Makes a controller of an axis from settings by name."""
@@ -60,31 +59,6 @@ BOUNDS: dict[str, tuple[float, float]] = {
 
 Floors, ranges and the observer's disturbance are searched by their logarithm.
 """
-
-
-@dataclass(frozen=True, eq=False)
-class TuningResult:
-    """What the search found.
-
-    Attributes
-    ----------
-    settings : dict of str to float
-        Best settings by name.
-    cost : float
-        Their cost.
-    history : tuple of float
-        Best cost after every generation.
-    evaluations : int
-        Settings that were tried.
-    moves : tuple of LatheMove
-        What they were judged by.
-    """
-
-    settings: dict[str, float]
-    cost: float
-    history: tuple[float, ...]
-    evaluations: int
-    moves: tuple[LatheMove, ...] = field(repr=False)
 
 
 def production(axis: LinearAxis, settings: Mapping[str, float]) -> VariableUniverseController:
@@ -120,62 +94,34 @@ def tuning_moves() -> list[LatheMove]:
 
 
 def tune(
-    make: Make = production,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    moves: Sequence[LatheMove] | None = None,
-    *,
-    seed: int = 0,
-    generations: int = 30,
-    population: int = 6,
-    duration: float = 1.5,
-    progress: _Progress | None = None,
-) -> TuningResult:
+    make: Make, bounds: Mapping[str, tuple[float, float]], *, generations: int, population: int
+) -> dict[str, float]:
     """Search for settings that settle fast, do not overshoot and stay on target.
 
     Every generation makes all moves with all candidates side by side, so the cost of a candidate
-    does not depend on the others and the result on nothing but the seed.  The cost is that of the
-    moves (`move_costs`) and of gains at which the linear loop swings (`swing_cost`).
+    does not depend on the others.  The cost is that of the moves (`move_costs`) and of gains at
+    which the linear loop swings (`swing_cost`).
 
     Parameters
     ----------
     make : callable
-        Makes a controller from an axis and settings by name; by default the production one.
-    bounds : mapping of str to (float, float), optional
+        Makes a controller from an axis and settings by name.
+    bounds : mapping of str to (float, float)
         Settings that are searched; those whose upper bound is ten times the lower or more by
-        their logarithm.  By default `BOUNDS`.
-    moves : sequence of LatheMove, optional
-        Moves of the lathe axis; by default `tuning_moves()`.
-    seed : int
-        Seed of the search.
+        their logarithm.
     generations : int
         Generations after the first population.
     population : int
         Candidates per setting.
-    duration : float
-        Length of the moves [s].
-    progress : callable, optional
-        Told after every generation.
-
-    Raises
-    ------
-    ValueError
-        If there is no move, or a bound is not an increasing pair of finite numbers.
     """
-    ranges = dict(BOUNDS if bounds is None else bounds)
-    for name, (low, high) in ranges.items():
-        if not -np.inf < low < high < np.inf:
-            raise ValueError(
-                f'bounds: expected two increasing numbers for {name} but found {low} and {high}'
-            )
-    cases = tuning_moves() if moves is None else list(moves)
-    if not ranges or not cases:
-        raise ValueError('expected one setting to search and one move or more but found none')
-    coarse = [replace(m, config=replace(m.config, substeps=_SUBSTEPS)) for m in cases]
-    axes, places = _nominal(coarse)
-    names = list(ranges)
-    logarithmic = np.array([0.0 < low and 10.0 * low <= high for low, high in ranges.values()])
-    ends = np.array(list(ranges.values()))
+    moves = [
+        replace(move, config=replace(move.config, substeps=_SUBSTEPS)) for move in tuning_moves()
+    ]
+    names = list(bounds)
+    logarithmic = np.array([0.0 < low and 10.0 * low <= high for low, high in bounds.values()])
+    ends = np.array(list(bounds.values()))
     ends[logarithmic] = np.log(ends[logarithmic])
+    axis = LatheAxisConfig().linear()
 
     def settings(point: Array) -> dict[str, float]:
         values = np.where(logarithmic, np.exp(np.where(logarithmic, point, 0.0)), point)
@@ -186,24 +132,12 @@ def tune(
         with warnings.catch_warnings():
             # candidates that do not settle are what the search is to find out
             warnings.simplefilter('ignore', ServoParamsWarning)
-            made = [[make(axis, settings(point)) for axis in axes] for point in columns]
+            made = [make(axis, settings(point)) for point in columns]
         # designing one takes longer than copying it
-        controllers = [deepcopy(ones[place]) for ones in made for place in places]
-        batch = position_many(controllers, coarse * len(columns), duration)
-        total = np.asarray(move_costs(batch).reshape(len(columns), len(coarse)).sum(axis=1))
-        total += [max(swing_cost(one, duration) for one in ones) for ones in made]
-        seen.append(float(total.min()))
-        tried.append(len(columns))
-        return total
-
-    seen: list[float] = []
-    tried: list[int] = []
-    history: list[float] = []
-
-    def told(best: Array, convergence: float) -> None:
-        history.append(min(seen))
-        if progress is not None:
-            progress(len(history), generations, history[-1])
+        controllers = [deepcopy(one) for one in made for _ in moves]
+        batch = position_many(controllers, moves * len(columns), _DURATION)
+        total = np.asarray(move_costs(batch).reshape(len(columns), len(moves)).sum(axis=1))
+        return total + [swing_cost(one) for one in made]
 
     search: Any = differential_evolution  # its types do not know of vectorised costs
     found = search(
@@ -211,45 +145,27 @@ def tune(
         ends.tolist(),
         maxiter=generations,
         popsize=population,
-        seed=np.random.default_rng(seed),  # SciPy before 1.15 knows no other name
+        seed=np.random.default_rng(0),
         polish=False,
         updating='deferred',
         vectorized=True,
-        callback=told,
         tol=0.0,
     )
-    return TuningResult(
-        settings(found.x), float(found.fun), tuple(history), sum(tried), tuple(cases)
-    )
+    return settings(found.x)
 
 
-def _nominal(moves: Sequence[LatheMove]) -> tuple[list[LinearAxis], list[int]]:
-    """Return the nominal models of the moves' axes, each once, and which one a move has."""
-    found: dict[tuple[bytes, ...], int] = {}
-    axes: list[LinearAxis] = []
-    places = []
-    for move in moves:
-        axis = LatheAxis(replace(move.config, gain_factor=1.0)).linear()
-        key = axis.a.tobytes(), axis.b.tobytes(), axis.c.tobytes()
-        if key not in found:
-            found[key] = len(axes)
-            axes.append(axis)
-        places.append(found[key])
-    return axes, places
-
-
-def swing_cost(controller: AxisController, duration: float) -> float:
+def swing_cost(controller: AxisController) -> float:
     """Return what it costs that a loop swings at a gain of `GAIN_SPREAD` [-].
 
     Friction hides a slow swing in moves that are over soon.  So each gain at which the spectral
-    radius is 1 or more costs as much as a move of that duration [s] that does not settle, and
+    radius is 1 or more costs as much as a move that does not settle, and
     what the radius exceeds 1 by in addition.  Controllers other than the variable-universe one
     are judged by their moves alone.
     """
     if not isinstance(controller, VariableUniverseController):
         return 0.0
     radii = np.array(list(spectral_radii(controller, GAIN_SPREAD).values()))
-    return float((2.0 * duration + _PER_RADIUS * (radii - 1.0))[radii >= 1.0].sum())
+    return float((2.0 * _DURATION + _PER_RADIUS * (radii - 1.0))[radii >= 1.0].sum())
 
 
 def move_costs(batch: PositioningBatch) -> Array:
