@@ -309,15 +309,19 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         self._ahead = max(self._ahead, self._time - stamp)
         self._stamp, self._time = stamp, stamp + self._ahead
 
-    def _adopting(self, offset: Floats, epoch: int = 0) -> OffsetInput:
-        """Return an offset input that has `offset` [m] in force now."""
-        config = OffsetInputConfig(
+    @property
+    def _limits(self) -> OffsetInputConfig:
+        """Limits of the offsets in force."""
+        return OffsetInputConfig(
             offset_max=self._config.offset_max,
             slew_max=self._slew_max,
             lead_max=self._config.lead_max,
             validity_max=self._config.validity_max,
         )
-        fresh = OffsetInput(self._places, config, start=self._time, step_max=self._step_max)
+
+    def _adopting(self, offset: Floats, epoch: int = 0) -> OffsetInput:
+        """Return an offset input that has `offset` [m] in force now."""
+        fresh = OffsetInput(self._places, self._limits, start=self._time, step_max=self._step_max)
         self._count_uncommanded()
         if self._holding:
             self._adopted = self._time
