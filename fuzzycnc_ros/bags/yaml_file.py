@@ -13,7 +13,6 @@ import stat
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
-from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -180,7 +179,8 @@ class YamlReading:
     ) -> list[tuple[str, Entry]]:
         """Return names and values of a mapping, in the order of the file."""
         if entry.node.id != 'mapping':
-            raise self.wrong(entry.line, place, f'expected {wanted} but found none of them')
+            found = 'a list' if entry.node.id == 'sequence' else repr(entry.node.value)
+            raise self.wrong(entry.line, place, f'expected {wanted} but found {found:.60}')
         return [
             # A bare Y is true in YAML 1.1; its text is the axis.
             (str(key.value), Entry(key.start_mark.line + 1, value))
@@ -226,11 +226,11 @@ class YamlReading:
         return value if number is None else number
 
     def number(self, entry: Entry, place: str, unit: str = '-') -> float:
-        """Return a finite number in SI; it may have a unit of the kind of an SI unit."""
+        """Return a number in SI; it may have a unit of the kind of an SI unit."""
         value = self.value(entry)
         try:
             found: Any = si_value(value, unit)
-            if not isinstance(found, bool) and isfinite(found):
+            if not isinstance(found, bool):
                 return float(found)
         except (TypeError, OverflowError):
             pass

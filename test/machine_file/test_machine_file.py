@@ -9,9 +9,8 @@ from dataclasses import replace
 import pytest
 
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
-from fuzzycnc_ros.core.servo.ballscrew import BALLSCREW
+from fuzzycnc_ros.core.servo.built_in import BUILT_IN_AXES
 from fuzzycnc_ros.core.units import DECLARED, si_value, written
 from fuzzycnc_ros.machine_file.doubts import machine_doubts
 from fuzzycnc_ros.machine_file.feeds import scheduler_parameters, simulated_loop
@@ -57,8 +56,9 @@ def test_what_is_written_is_read_again(machine, name):
 
 
 def test_built_in_machines_are_the_simulated_ones():
-    assert read_machine_file('lathe').axes['X'].plant == LatheAxisConfig()
-    assert read_machine_file('ballscrew').axes['X'] == BALLSCREW
+    lathe = read_machine_file('lathe').axes['X']
+    assert replace(lathe, settings={}) == BUILT_IN_AXES['lathe']
+    assert read_machine_file('ballscrew').axes['X'] == BUILT_IN_AXES['ballscrew']
     mill = read_machine_file('mill')
     assert simulated_loop(mill) == ContouringConfig()
     default = FeedrateSchedulerConfig()

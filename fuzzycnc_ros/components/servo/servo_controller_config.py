@@ -13,15 +13,13 @@ from fuzzycnc_ros.components.servo.servo_axes import (
 from fuzzycnc_ros.components.servo.servo_plausibility import MotionDoubt
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryInputConfig
-from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData
 from fuzzycnc_ros.core.servo.axis_control import (
     AXIS_CONTROLLERS,
     FOR_USE,
     make_axis_controller,
-    make_controller,
 )
-from fuzzycnc_ros.core.servo.ballscrew import BALLSCREW, BALLSCREW_SETTINGS, ballscrew_controller
+from fuzzycnc_ros.core.servo.built_in import BALLSCREW_SETTINGS, BUILT_IN_AXES, built_in_controller
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 from fuzzycnc_ros.core.servo.profile import ProfileLimits
@@ -68,7 +66,7 @@ class ServoControllerConfig(Config):
         SUITED,
         '-',
         'Controller of every axis that is of no machine file: what won on it after tuning, '
-        f'{FOR_USE[0]} on a lathe, {BALLSCREW.controller} on a ballscrew, or '
+        f'{FOR_USE[0]} on a lathe, {BUILT_IN_AXES["ballscrew"].controller} on a ballscrew, or '
         'another; a ballscrew has these two only',
         choices=(SUITED, *FOR_USE),
     )
@@ -168,7 +166,7 @@ class ServoControllerConfig(Config):
                 f'silence_max: expected at most command_validity = {self.command_validity} s, for '
                 f'which the drives hold a command, but found {self.silence_max} s'
             )
-        theirs = (SUITED, *sorted(BALLSCREW_SETTINGS, reverse=True))
+        theirs = (SUITED, *BALLSCREW_SETTINGS)
         if self.controller not in theirs and 'ballscrew' in axes.values():
             raise ValueError(
                 f'controller: expected {", ".join(theirs)} for a ballscrew axis but found '
@@ -195,24 +193,15 @@ def make_controllers(config: ServoControllerConfig) -> dict[str, AxisController]
         direction = -1.0 if name in config.reversed_axes else 1.0
         if name in known:
             found[name] = _file_controller(config, name, known[name])
-        elif model == 'ballscrew':
-            controller = ballscrew_controller(
-                BALLSCREW.controller if config.controller == SUITED else config.controller,
+        else:
+            found[name] = built_in_controller(
+                model,
+                '' if config.controller == SUITED else config.controller,
                 direction=direction,
                 period=config.period,
                 duty_max=config.duty_max,
             )
-            controller.watch.limits = _believed(config, controller.watch.limits)
-            found[name] = controller
-        else:
-            axis = LatheAxisConfig(direction=direction, period=config.period).linear()
-            limits = _believed(config, FeedbackLimits.of(axis))
-            found[name] = make_controller(
-                FOR_USE[0] if config.controller == SUITED else config.controller,
-                axis,
-                duty_max=config.duty_max,
-                limits=limits,
-            )
+            found[name].watch.limits = _believed(config, found[name].watch.limits)
     return found
 
 

@@ -6,12 +6,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.servo.axis import LinearAxis
     from fuzzycnc_ros.core.servo.controller import AxisController
     from fuzzycnc_ros.core.servo.rule_table import RuleTable
 
@@ -39,28 +38,18 @@ class ServoSettings:
     numbers: Mapping[str, float] = field(default_factory=dict)
     rules: RuleTable | None = None
 
-    def controller(self, name: str, axis: str, model: LinearAxis) -> AxisController:
-        """Return the controller of a name with these settings."""
-        from fuzzycnc_ros.core.servo.axis_control import DISTURBANCE, make_controller
-        from fuzzycnc_ros.core.servo.ballscrew import ballscrew_controller
-        from fuzzycnc_ros.core.servo.observer import ObserverNoise
+    def controller(self, name: str, axis: str) -> AxisController:
+        """Return the controller of a name for a built-in axis with these settings."""
+        from fuzzycnc_ros.core.servo.axis_control import DISTURBANCE, WITH_RULES
+        from fuzzycnc_ros.core.servo.built_in import built_in_controller
 
         try:
-            if axis == 'ballscrew':
-                return ballscrew_controller(name, self.numbers, self.rules)
-            given: dict[str, Any] = dict(self.numbers)
-            options: dict[str, Any] = {}
-            if DISTURBANCE in given:
-                if name != 'variable_universe':
-                    raise ValueError(
-                        'disturbance: expected with variable_universe, which has an observer, '
-                        'but found it'
-                    )
-                options['noise'] = replace(ObserverNoise(), disturbance=given.pop(DISTURBANCE))
-            if self.rules is not None:
-                given['rules'] = self.rules
-            plain: Any = make_controller(name, model)
-            return make_controller(name, model, replace(plain.params, **given), **options)
+            if DISTURBANCE in self.numbers and name != WITH_RULES:
+                raise ValueError(
+                    f'{DISTURBANCE}: expected with {WITH_RULES}, which has an observer, alone '
+                    'but found it'
+                )
+            return built_in_controller(axis, name, self.numbers, self.rules)
         except ValueError as error:
             raise ValueError(f'{self.path}: {error}') from error
 
@@ -99,8 +88,9 @@ def read_settings(path: Path) -> ServoSettings:
     from fuzzycnc_ros.core.servo.axis_control import DISTURBANCE, UNIVERSES
     from fuzzycnc_ros.core.servo.rule_table import RuleTable
 
-    reading = YamlReading(path, 'a file of settings, YAML or JSON')
-    found = reading.top()
+    wanted = "'settings' or 'rules', or both"
+    reading = YamlReading(path, f'a file with {wanted}')
+    found = reading.top(wanted)
     if 'axes' in found:
         raise ValueError(
             f"{path}: expected 'settings' or 'rules' but found the axes of a machine file, which "
@@ -108,7 +98,7 @@ def read_settings(path: Path) -> ServoSettings:
         )
     reading.known(found, _KEYS, '')
     if not found.keys() & {'settings', 'rules'}:
-        raise ValueError(f"{path}: expected 'settings' or 'rules', or both, but found neither")
+        raise ValueError(f'{path}: expected {wanted}, but found neither')
     numbers = reading.section(found, 'settings')
     reading.known(numbers, (*UNIVERSES, DISTURBANCE), 'settings')
     rules = None
