@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.bags.csv_time import (
     ISO8601,
-    TIME_UNITS,
     ClockChangeError,
     Zone,
     has_date,
@@ -37,6 +36,7 @@ from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.core.thermal.run import JITTER_MAX, SAMPLES_MIN
 from fuzzycnc_ros.core.thermal.spacing import sample_interval
+from fuzzycnc_ros.core.units import TIMES
 
 _ENCODINGS = ('cp1252', 'latin-1', 'utf-16')
 """What programs write that do not write UTF-8, Excel on Windows first."""
@@ -231,7 +231,7 @@ class Table:
         midnights: list[int] = []
         used: Zone | None = None
         if not form:
-            seconds = self.column(name) * TIME_UNITS[unit]
+            seconds = self.column(name) * TIMES[unit]
             lost = np.flatnonzero(~np.isfinite(seconds)).tolist()
         else:
             lost = [row for row, cell in enumerate(cells) if _is_empty(cell)]

@@ -17,7 +17,7 @@ from fuzzycnc_ros.adapters.opcua.file_fields import PlaceFields, ServerFields, p
 from fuzzycnc_ros.adapters.opcua.offset_lines import Travel
 from fuzzycnc_ros.adapters.opcua.session import Address, node_id_trouble
 from fuzzycnc_ros.adapters.opcua.variables import ControlVariable, Kind
-from fuzzycnc_ros.adapters.readings.device_file import SPEED_UNITS, Scale, SpeedUnit
+from fuzzycnc_ros.adapters.readings.device_file import Scale, SpeedUnit
 from fuzzycnc_ros.adapters.yaml_model import (
     Field,
     Fields,
@@ -29,9 +29,9 @@ from fuzzycnc_ros.adapters.yaml_model import (
     wrong,
 )
 from fuzzycnc_ros.core.inputs.offsets import AXES
+from fuzzycnc_ros.core.units import LENGTHS, SPEEDS
 from fuzzycnc_ros.ros.parameters import ParameterError
 
-LENGTHS = {'um': 1e-6, 'mm': 1e-3, 'm': 1.0, 'inch': 25.4e-3}
 TRAVEL_MAX = 1000.0
 """Largest position [m]."""
 
@@ -135,8 +135,8 @@ class _Axis(Fields):
 class ControlFields(ServerFields):
     """Where a control is, and which of its variables take part in compensation."""
 
-    unit: Annotated[str, Word(tuple(LENGTHS))] = Field(description='Unit of offsets')
-    position_unit: Annotated[str, Word(tuple(LENGTHS))] = Field(
+    unit: Annotated[str, Word(('um', 'mm', 'm', 'inch'))] = Field(description='Unit of offsets')
+    position_unit: Annotated[str, Word(('um', 'mm', 'm', 'inch'))] = Field(
         'mm', description='Unit of positions'
     )
     hand_shake: _HandShake = Field(description='Variables by which sets are handed over')
@@ -186,7 +186,7 @@ class ControlFields(ServerFields):
                     continue
                 scale = units[role.unit] * getattr(place, 'scale', 1.0)
                 if isinstance(place, _Speed):
-                    scale *= SPEED_UNITS[place.unit]
+                    scale *= SPEEDS[place.unit]
                 found[prefix + name] = ControlVariable(
                     node=place.node,
                     path=place.path,

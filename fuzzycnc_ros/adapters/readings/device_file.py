@@ -48,9 +48,9 @@ from fuzzycnc_ros.adapters.yaml_model import (
     wrong,
 )
 from fuzzycnc_ros.core.thermal.sensor_limits import LIMIT_BOUNDS
+from fuzzycnc_ros.core.units import SPEEDS
 
 ORDERS = ('big', 'little')
-SPEED_UNITS = {'rpm': 2.0 * math.pi / 60.0, 'rad/s': 1.0}
 PARITIES = ('even', 'odd', 'none')
 PROTOCOLS = ('modbus_tcp', 'modbus_rtu', 'opc_ua', 'mtconnect')
 
@@ -66,7 +66,7 @@ def nonzero(value: float) -> float:
 
 
 Scale = Annotated[float, Number(-1e9, 1e9), AfterValidator(nonzero)]
-SpeedUnit = Annotated[str, Word(tuple(SPEED_UNITS))]
+SpeedUnit = Annotated[str, Word(tuple(SPEEDS))]
 
 
 class _Scaling(Fields):
@@ -257,7 +257,7 @@ class _Device(Fields):
         axes = self.axes()
         channels += axes.values()
         if spindle is not None:
-            unit = SPEED_UNITS[spindle.unit]
+            unit = SPEEDS[spindle.unit]
             channels.append(spindle.channel(SPINDLE, unit, spindle.max * unit))
         return {
             'name': self.name,

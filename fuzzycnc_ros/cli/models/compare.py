@@ -51,8 +51,9 @@ from fuzzycnc_ros.cli.options import (
     given,
     names_of,
 )
-from fuzzycnc_ros.cli.quantities import TIMES, number_in
+from fuzzycnc_ros.cli.quantities import number_in
 from fuzzycnc_ros.core.thermal.candidate import COMPARED_ONLY, SPEED_SUFFIX
+from fuzzycnc_ros.core.units import TIMES
 from fuzzycnc_ros.papers.names import COMPARED
 
 if TYPE_CHECKING:
