@@ -182,9 +182,15 @@ def test_metadata_that_promises_more_is_refused(small_bag):
             '      nanoseconds: 6',
             's as the duration of bag_0.mcap',
         ),
+        ('storage_identifier: mcap', 'storage_identifier: sqlite3', 'says sqlite3 as storage but'),
+        (
+            'type: fuzzycnc_msgs/msg/Temperatures',
+            'type: std_msgs/msg/String',
+            'std_msgs/msg/String on /mill/temperatures but .* hold fuzzycnc_msgs/msg/Temperatures',
+        ),
     ],
 )
-def test_metadata_whose_totals_and_times_are_wrong_is_told(small_bag, fuzzycnc, old, new, told):
+def test_metadata_whose_facts_are_wrong_is_told(small_bag, fuzzycnc, old, new, told):
     file = small_bag / 'metadata.yaml'
     text = file.read_text(encoding='utf-8')
     with BagReader(small_bag) as reader:

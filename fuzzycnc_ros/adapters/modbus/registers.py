@@ -140,6 +140,31 @@ def jump(item: Register, course: Sequence[Sequence[int]]) -> float:
     return found
 
 
+def lies_at_zero(item: Register, course: Sequence[Sequence[int]]) -> bool:
+    """Return whether all readings are next to 0 degC that another order finds in a shop.
+
+    Parameters
+    ----------
+    item : Register
+        What the registers mean.
+    course : sequence of sequence of int
+        The registers in some readings, each other than the last.
+
+    Examples
+    --------
+    >>> front = Register(name='T1', table='input', register=0, type='float32')
+    >>> lies_at_zero(front, [[0xBC41, 0x0000], [0xBC41, 0x295C]])  # 23.5, 23.52
+    True
+    """
+
+    def within(one: Register, low: float, high: float) -> bool:
+        return all(low < one.scale * raw_of(one, words) + one.offset < high for words in course)
+
+    return within(item, -AT_ZERO, AT_ZERO) and any(
+        within(other, *OF_A_SHOP) for other in _other_orders(item)
+    )
+
+
 def _other_orders(item: Register) -> Iterator[Register]:
     """Return what the registers would mean in other orders of words and bytes."""
     of_words = ORDERS if item.count > 1 else (item.word_order,)
@@ -153,3 +178,7 @@ ORDERS = ('big', 'little')
 JUMP, STEADIER = 8.0, 16.0
 """Mean step between readings from which their order is doubted [K], and how much smaller it is in
 the right one [-]; to swap the bytes makes it 256 times as large."""
+
+AT_ZERO = 1.0
+OF_A_SHOP = (5.0, 60.0)
+"""Temperatures that bytes of 23 to 24 degC give in a wrong order, and those of machines [degC]."""

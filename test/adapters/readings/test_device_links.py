@@ -177,6 +177,28 @@ def test_whole_numbers_in_a_wrong_order_jump_and_are_no_reading(field, poll):
     assert right == pytest.approx([27.1, 27.1])
 
 
+def test_floats_in_a_wrong_order_that_stay_at_zero_are_no_reading(field, poll):
+    """A byte order that gives plausible temperatures: 23.5 degC reads -0.012."""
+
+    def registers(celsius):
+        wrong = [swapped(word) for word in words_of(celsius)]
+        return dict(enumerate([*wrong, *words_of(celsius / 1000.0)]))
+
+    server = field.add(ModbusServer(registers(23.5)))
+    poller = poll(FLOATS, server, '{T1: 0, T2: 2}')
+    assert wait(poller, good).readings[0] == pytest.approx(-0.0118, abs=1e-4)
+    for hundredths in range(2351, 2358):
+        server.words |= registers(0.01 * hundredths)
+        now = pytest.approx(1e-5 * hundredths)
+        wait(poller, lambda item, now=now: good(item) and item.readings[1] == now)
+    wrong, cold = wait(
+        poller, lambda item: good(item) and isinstance(item.readings[0], str)
+    ).readings
+    assert wrong.startswith('stays at -0.012 degC; compare word_order, byte_order')
+    assert '23.57 with byte_order little' in wrong
+    assert cold == pytest.approx(0.02357)  # no order makes more of it
+
+
 def test_many_registers_take_several_requests(field, poll):
     server = field.add(ModbusServer({k: k for k in range(200)}))
     sensors = '{' + ', '.join(f'T{k}: {k}' for k in range(200)) + '}'
