@@ -13,9 +13,9 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from fuzzycnc_ros.adapters.modbus.devices import ModbusRtuDevice, SerialLine
 from fuzzycnc_ros.adapters.modbus.link import ModbusLink, request
 from fuzzycnc_ros.adapters.modbus.registers import Block
-from fuzzycnc_ros.adapters.readings.devices import ModbusRtuDevice, SerialLine
 from fuzzycnc_ros.adapters.readings.link import LinkError, Reading
 
 FRAME_MIN = 4

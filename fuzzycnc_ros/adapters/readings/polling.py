@@ -62,8 +62,6 @@ class Poller:
     ----------
     devices : sequence of Device
         What to read.
-    connect : callable
-        Makes a link to a device that is not yet open.
     now : callable
         Returns machine time [ns]; called in the thread.
 
@@ -76,11 +74,10 @@ class Poller:
     def __init__(
         self,
         devices: Sequence[Device],
-        connect: Callable[[Device], Link],
         now: Callable[[], int],
     ) -> None:
         self.results: SimpleQueue[Polled] = SimpleQueue()
-        self._devices, self._connect, self._now = tuple(devices), connect, now
+        self._devices, self._now = tuple(devices), now
         self._loop: asyncio.AbstractEventLoop | None = None
         self._tasks: list[asyncio.Task[None]] = []
         self._ready = threading.Event()
@@ -115,7 +112,7 @@ class Poller:
         pause = BACK_OFF_FIRST
         while True:
             least = 0.0
-            link = self._connect(device)
+            link = device.connect()
             try:
                 await asyncio.wait_for(link.open(), device.timeout)
                 async for readings, took in _paced(link, device):

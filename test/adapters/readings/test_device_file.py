@@ -16,10 +16,11 @@ from hypothesis import strategies as st
 
 pytest.importorskip('rclpy')
 
+from fuzzycnc_ros.adapters.modbus.devices import FORMATS, Register, SerialLine
 from fuzzycnc_ros.adapters.modbus.registers import REGISTERS_MAX, blocks, value_of
 from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
 from fuzzycnc_ros.adapters.readings.device_file import DeviceFile, read_devices
-from fuzzycnc_ros.adapters.readings.devices import FORMATS, SPINDLE, Register, SerialLine
+from fuzzycnc_ros.adapters.readings.devices import SPINDLE
 from fuzzycnc_ros.ros.parameters import ParameterError
 
 pytestmark = pytest.mark.ros
