@@ -29,6 +29,11 @@ DRIVERS = {
     'modbus_rtu': 'modbus.devices:ModbusRtu',
     'opc_ua': 'opcua.readings_device:OpcUa',
     'mtconnect': 'mtconnect.device:Mtconnect',
+    'linuxcnc_hal': 'linuxcnc.hal_readings:HalFields',
+    'lines': 'readings.lines:LineFields',
+    'one_wire': 'readings.one_wire:OneWireFields',
+    'mqtt': 'mqtt.readings:MqttFields',
+    'moonraker': 'readings.moonraker:MoonrakerFields',
 }
 """Module below `fuzzycnc_ros.adapters`, and class, of the fields of each protocol."""
 

@@ -382,3 +382,38 @@ devices:
     path.write_text(text.format(rate=-1))
     with pytest.raises(ParameterError, match='rate_max'):
         read_devices(path)
+
+
+NTC = MODBUS.replace('scale: 0.1', 'ntc: {beta: 3950, divider: {fixed: 4700, supply: 4095}}')
+
+
+def test_a_thermistor_is_of_all_sensors_or_of_one(read):
+    (device,) = read(NTC.replace('T1: 0', 'T1: {register: 0, ntc: {beta: 3435}, offset: -0.4}'))
+    one, two, _, spindle = device.channels
+    assert one.ntc.temperature(10e3) == pytest.approx(25.0)
+    assert value_of(one, [10_000]) == pytest.approx(24.6)
+    assert two.ntc.supply == 4095.0
+    assert spindle.ntc is None
+    text = value_of(two, [0])
+    assert 'raw value 0 is none of its thermistor: broken wire, short circuit' in text
+
+
+@pytest.mark.parametrize(
+    ('ntc', 'text'),
+    [
+        ('{resistance: 10000}', 'expected either beta, with resistance and at, or steinhart_hart'),
+        ('{}', 'expected either beta'),
+        ('{beta: 3950, steinhart_hart: [1, 2, 3]}', 'expected either beta'),
+        ('{steinhart_hart: [1, 2]}', 'expected the three coefficients a, b, c but found 2'),
+        ('{steinhart_hart: [1.1, 2.3, 0.8]}', 'it gives no temperature from -80 to 400 degC'),
+        ('{beta: 39.5}', 'expected a number from 100 to 20000 K but found 39.5'),
+        ('{beta: 3950, divider: {fixed: 4700}}', "expected the field 'supply' but it is missing"),
+        (
+            '{beta: 3950, divider: {fixed: 4700, supply: 5, ntc: top}}',
+            'expected one of low, high but found',
+        ),
+    ],
+)
+def test_wrong_thermistors_are_refused(read, ntc, text):
+    with pytest.raises(ParameterError, match=re.escape(text)):
+        read(NTC.replace('{beta: 3950, divider: {fixed: 4700, supply: 4095}}', ntc))
