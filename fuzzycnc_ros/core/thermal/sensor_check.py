@@ -301,5 +301,16 @@ def _noise(column: Array) -> float:
 
 def _unit(value: float, level: float) -> str:
     """Return the unit in which a value would be about the reference; empty if none fits."""
-    near = [name for name, (a, b) in UNITS.items() if abs(a * value + b - level) <= AGREE]
+    near = [name for name, found in in_units(value).items() if abs(found - level) <= AGREE]
     return f'reads {near[0]}?' if near else ''
+
+
+def in_units(value: float) -> dict[str, float]:
+    """Return what a value taken for degC is [degC] if it is in another unit.
+
+    Examples
+    --------
+    >>> round(in_units(295.15)['kelvin'], 2)
+    22.0
+    """
+    return {name: factor * value + offset for name, (factor, offset) in UNITS.items()}
