@@ -414,7 +414,8 @@ def test_a_secret_of_a_broker_is_in_no_bag_and_no_log(graph, observer, tmp_path)
     path, bag = tmp_path / 'devices.yaml', tmp_path / 'bag'
     path.write_text(
         f'devices: [{{name: house, protocol: mqtt, host: {LOCAL}, port: {broker.port}, '
-        'period: 0.1, tls: {ca: broker.pem}, credentials: broker-user.yaml, max_age: 2, timeout: 0.5, '
+        'period: 0.1, tls: {ca: broker.pem}, credentials: broker-user.yaml, max_age: 2, '
+        'timeout: 0.5, '
         'sensors: {T1: mill/front, bed: {topic: mill/bed, rate_max: 0.7, range_high: 130}}}]'
     )
     client = Client(CallbackAPIVersion.VERSION2)

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The file that says which devices there are, and where each of their values lies.
 
-docs/how-to/temperature-drivers.md describes it with examples.
+docs/how-to/your-sensors.md describes it with examples.
 """
 
 from importlib import import_module

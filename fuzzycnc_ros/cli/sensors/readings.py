@@ -15,8 +15,7 @@ from fuzzycnc_ros.adapters.readings.devices import Device
 from fuzzycnc_ros.adapters.readings.link import Reading
 from fuzzycnc_ros.adapters.readings.polling import BACK_OFF_MAX, Polled, Poller
 from fuzzycnc_ros.adapters.readings.reading_sets import ReadingSets
-from fuzzycnc_ros.bags.csv_table import read_table
-from fuzzycnc_ros.bags.errors import BagError
+from fuzzycnc_ros.bags.csv_table import read_sensor_table
 from fuzzycnc_ros.bags.runs import read_temperatures
 from fuzzycnc_ros.runtime.records import SECOND, Floats
 
@@ -81,14 +80,8 @@ def read_recording(path: Path, time_column: str) -> Recorded:
     if path.is_dir() or path.suffix == '.mcap':
         seconds, sensor, temperature, speed = read_temperatures(path)
         return Recorded(seconds, temperature, sensor, speed)
-    table = read_table(path)
-    table.require([time_column], '--time')
-    names = [name for name in table.header if name != time_column]
-    if not names:
-        raise BagError(f'{path}: expected a column for each sensor beside {time_column!r}')
-    times = table.time(time_column, 's')
-    values = np.stack([table.column(name) for name in names], axis=1)
-    return Recorded(times.seconds, values, tuple(names))
+    sensor, seconds, temperature, _ = read_sensor_table(path, time_column)
+    return Recorded(seconds - seconds[0], temperature, sensor)
 
 
 class _Reading:

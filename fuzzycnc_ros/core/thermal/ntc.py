@@ -3,7 +3,9 @@
 """Temperature of a thermistor (NTC) by its resistance, or by the voltage of its divider."""
 
 from dataclasses import dataclass
-from math import inf, isfinite, log, nan
+from math import inf, isfinite, nan
+
+from fuzzycnc_ros.core.portable import log
 
 ZERO_CELSIUS = 273.15
 """0 degC [K]."""
@@ -30,7 +32,7 @@ class Ntc:
 
     References
     ----------
-    J. S. Steinhart, S. R. Hart: Calibration curves for thermistors.  Deep-Sea Research 15 (1968).
+    [steinhart_hart]: the equation.
 
     Examples
     --------

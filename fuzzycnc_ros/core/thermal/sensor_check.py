@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from fuzzycnc_ros.core.arrays import Array
 
 HOUR = 3600.0
-WINDOW = 1800.0
+REST_WINDOW = 1800.0
 """Time that is judged, of a longer recording the quietest such time [s]."""
 SPAN = 2.0 * HOUR
 """Time over which drift is looked at, up to the end of the window [s]: over a short one noise may
 hide it."""
-WINDOW_MIN = 120.0
+REST_WINDOW_MIN = 120.0
 """Shortest time that tells drift from noise [s]."""
 READINGS_MIN = 10
 """Fewest readings of a sensor in the window."""
@@ -24,7 +24,7 @@ DRIFT_MAX = 0.5
 """Drift from which a sensor is plainly not at rest [K/h]."""
 LAG = 2.0
 """Time by which parts of a machine follow the air apart from each other, at most [h]."""
-QUIET = 2.0 * HOUR
+SPINDLE_STOOD = 2.0 * HOUR
 """Time for which the spindle has to have stood before the window, as far as it is known [s]."""
 AGREE = 2.0
 """Distance from the median within which a sensor of a machine at one temperature reads [K]."""
@@ -32,7 +32,7 @@ OFFSET_MAX = 5.0
 """Largest difference that an offset mends; beyond it something else is wrong [K]."""
 SURE = 2.0
 """Standard errors that an uncertainty spans."""
-UNITS = {
+MISTAKEN_UNITS = {
     'kelvin': (1.0, -273.15),
     'degF': (5.0 / 9.0, -160.0 / 9.0),
     'tenths of a degree': (0.1, 0.0),
@@ -202,10 +202,10 @@ def _check_enough(time: Array, sensor: Sequence[str], reference: str) -> None:
             f'found {len(sensor)}: of two that differ either may be wrong'
         )
     lasts = float(time[-1] - time[0]) if len(time) else 0.0
-    if lasts < WINDOW_MIN or len(time) < READINGS_MIN:
+    if lasts < REST_WINDOW_MIN or len(time) < READINGS_MIN:
         raise NotAtRestError(
-            f'expected readings over at least {WINDOW_MIN:g} s, {READINGS_MIN} of them, but found '
-            f'{len(time)} over {lasts:.6g} s; read for longer'
+            f'expected readings over at least {REST_WINDOW_MIN:g} s, {READINGS_MIN} of them, but '
+            f'found {len(time)} over {lasts:.6g} s; read for longer'
         )
 
 
@@ -214,13 +214,13 @@ def _quietest(
 ) -> tuple[NDArray[np.bool_], Array, Array]:
     """Return the window of the least drift, and the drifts and their errors there [K/h]."""
     lasts = float(time[-1] - time[0])
-    starts = time[0] + np.arange(0.0, max(lasts - WINDOW, 0.0) + 1.0, WINDOW / 3.0)
+    starts = time[0] + np.arange(0.0, max(lasts - REST_WINDOW, 0.0) + 1.0, REST_WINDOW / 3.0)
     best: tuple[float, NDArray[np.bool_], Array, Array] | None = None
     turned = False
     for start in starts:
-        end = start + WINDOW
+        end = start + REST_WINDOW
         inside = (time >= start) & (time <= end)
-        if turning is not None and ((turning >= start - QUIET) & (turning <= end)).any():
+        if turning is not None and ((turning >= start - SPINDLE_STOOD) & (turning <= end)).any():
             turned = True
             continue
         if inside.sum() < READINGS_MIN:
@@ -233,13 +233,13 @@ def _quietest(
             best = (drift, inside, slope, error)
     if best is None and turned:
         raise NotAtRestError(
-            f'expected {WINDOW / 60.0:g} min in which the spindle stands, as it has for '
-            f'{QUIET / HOUR:g} h, but found none; leave the machine over night'
+            f'expected {REST_WINDOW / 60.0:g} min in which the spindle stands, as it has for '
+            f'{SPINDLE_STOOD / HOUR:g} h, but found none; leave the machine over night'
         )
     if best is None:
         raise NotAtRestError(
-            f'expected {READINGS_MIN} readings within {WINDOW / 60.0:g} min but found fewer; read '
-            'more often'
+            f'expected {READINGS_MIN} readings within {REST_WINDOW / 60.0:g} min but found fewer; '
+            'read more often'
         )
     return best[1:]
 
@@ -253,10 +253,10 @@ def _drift(time: Array, temperature: Array) -> tuple[Array, Array]:
         if count < READINGS_MIN:
             continue
         hours = (time[good] - time[good].mean()) / HOUR
-        spread = float(hours @ hours)
-        slope[place] = float(hours @ (column[good] - column[good].mean())) / spread
+        spread = float(np.sum(hours * hours))
+        slope[place] = float(np.sum(hours * (column[good] - column[good].mean()))) / spread
         rest = column[good] - column[good].mean() - slope[place] * hours
-        error[place] = float(np.sqrt(rest @ rest / (count - 2) / spread))
+        error[place] = float(np.sqrt(np.sum(rest * rest) / (count - 2) / spread))
     return slope, error
 
 
@@ -313,4 +313,4 @@ def in_units(value: float) -> dict[str, float]:
     >>> round(in_units(295.15)['kelvin'], 2)
     22.0
     """
-    return {name: factor * value + offset for name, (factor, offset) in UNITS.items()}
+    return {name: factor * value + offset for name, (factor, offset) in MISTAKEN_UNITS.items()}

@@ -19,7 +19,7 @@ pytest.importorskip('rclpy')
 from fuzzycnc_ros.adapters.modbus.devices import FORMATS, Register, SerialLine
 from fuzzycnc_ros.adapters.modbus.registers import REGISTERS_MAX, blocks, value_of
 from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
-from fuzzycnc_ros.adapters.readings.device_file import DeviceFile, read_devices
+from fuzzycnc_ros.adapters.readings.device_file import DRIVERS, DeviceFile, read_devices
 from fuzzycnc_ros.adapters.readings.devices import SPINDLE
 from fuzzycnc_ros.ros.parameters import ParameterError
 
@@ -233,11 +233,47 @@ def test_credentials(tmp_path):
         read_credentials(path)
 
 
+def examples_of(root):
+    """Return the device files of the docs and of the examples."""
+    how_to, examples = root / 'docs' / 'how-to', root / 'examples'
+    pages = [how_to / 'your-sensors.md', how_to / 'temperature-drivers.md']
+    shown = re.compile(r'^```yaml\n(devices:\n.*?)^```', re.M | re.S)
+    found = [text for page in pages for text in shown.findall(page.read_text())]
+    files = [*examples.glob('sensors/*.yaml'), examples / 'devices.yaml']
+    return [*found, *(file.read_text() for file in files)]
+
+
+def test_every_file_of_the_table_is_there_and_of_its_protocol(root, read, tmp_path):
+    page = (root / 'docs' / 'how-to' / 'your-sensors.md').read_text()
+    for name in ('broker.pem', 'broker-user.yaml'):
+        (tmp_path / name).touch()
+    rows = re.findall(r'^\| .* \| \[`(\w+)`\].* \| `(sensors/\w+\.yaml)` \|$', page, re.M)
+    assert {file for _, file in rows} == {
+        f'sensors/{path.name}' for path in (root / 'examples' / 'sensors').glob('*')
+    }
+    for protocol, file in rows:
+        text = (root / 'examples' / file).read_text()
+        assert len(text.splitlines()) <= 13  # three are its head
+        assert f'protocol: {protocol}\n' in text
+        assert read(text)
+
+
+def test_what_drivers_share_names_none_of_them_but_in_one_line(root):
+    folder = root / 'fuzzycnc_ros' / 'adapters'
+    own = {folder / f'{p.partition(":")[0].replace(".", "/")}.py' for p in DRIVERS.values()}
+    shared = {*folder.glob('*.py'), *folder.glob('readings/*.py')} - own
+    for protocol, place in DRIVERS.items():
+        lines = [line for path in shared for line in path.read_text().splitlines()]
+        naming = [line.strip() for line in lines if f"'{protocol}'" in line]
+        assert naming == [f"'{protocol}': '{place}',"]
+
+
 def test_every_example_of_the_docs_is_a_device_file(root, read, tmp_path):
-    page = (root / 'docs' / 'how-to' / 'temperature-drivers.md').read_text()
-    examples = re.findall(r'^```yaml\n(devices:\n.*?)^```', page, re.M | re.S)
-    assert len(examples) >= 2
+    examples = examples_of(root)
+    assert len(examples) >= 12
     for name in ('own.der', 'own-key.pem', 'control.der', 'control-user.yaml'):
+        (tmp_path / name).touch()
+    for name in ('broker.pem', 'broker-user.yaml'):
         (tmp_path / name).touch()
     for example in examples:
         assert read(example)
@@ -246,9 +282,7 @@ def test_every_example_of_the_docs_is_a_device_file(root, read, tmp_path):
 def test_the_schema_takes_what_is_read_and_refuses_what_is_not(root):
     jsonschema = pytest.importorskip('jsonschema')
     validator = jsonschema.Draft202012Validator(DeviceFile.model_json_schema())
-    page = (root / 'docs' / 'how-to' / 'temperature-drivers.md').read_text()
-    examples = re.findall(r'^```yaml\n(devices:\n.*?)^```', page, re.M | re.S)
-    for text in [*examples, MODBUS, OPC_UA]:
+    for text in [*examples_of(root), MODBUS, OPC_UA]:
         validator.validate(yaml.safe_load(text))
     wrong = [
         ('T1: 0', 'T1: 70000'),

@@ -3,6 +3,7 @@
 """`fuzzycnc sensors`: devices read without any node, and sensors compared."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -88,6 +89,24 @@ def test_a_table_of_a_night_tells_what_to_add(tmp_path, capsys):
     assert run(['sensors', 'check', str(path)]) == 0
 
 
+def test_commands_of_the_page_work(devices, tmp_path, monkeypatch, root):
+    """Those that need sensors and a night, with a folder of sensors and a table in their place."""
+    from fuzzycnc_ros.core.thermal import sensor_check
+
+    page = (root / 'docs' / 'how-to' / 'your-sensors.md').read_text()
+    shown = re.findall(r'^ *(fuzzycnc (?:sensors|schema) .*)$', page, re.M)
+    assert len(shown) == 5
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sensor_check, 'REST_WINDOW_MIN', 0.5)
+    (tmp_path / 'w1' / FRONT / 'temperature').write_text('19862\n')  # 20.062 with its offset
+    table(tmp_path / 'night.csv', front=20.0, rear=20.1, ambient=20.05, cabinet=20.1)
+    columns = 'front,rear,ambient,cabinet'
+    assert run(['import-csv', 'night.csv', '--out', 'night', '--temperature', columns]) == 0
+    for line in shown:
+        words = line.replace('10min', '1.5s').split()[1:]
+        assert run(words) == 0, line
+
+
 def test_what_cannot_be_compared_is_refused_in_a_line(tmp_path, capsys, root):
     path = table(tmp_path / 'two.csv', front=21.0, rear=20.0)
     assert run(['sensors', 'check', str(path)]) == 2
@@ -95,6 +114,10 @@ def test_what_cannot_be_compared_is_refused_in_a_line(tmp_path, capsys, root):
     assert run(['sensors', 'check', str(path), '--drop-sensor', 'x']) == 2
     assert '--drop-sensor: expected some of front, rear but found x' in capsys.readouterr().err
     assert run(['sensors', 'check', str(path), '--time', 't']) == 2
+    path.write_text(path.read_text().replace('.', ',').replace(',', ';', 1))
+    capsys.readouterr()
+    assert run(['sensors', 'check', str(path)]) == 2
+    assert ' --' not in capsys.readouterr().err.replace('`fuzzycnc import-csv --', '')
     assert run(['sensors', 'check', str(root / 'bags' / 'mill_warm_up')]) == 2
     assert 'in which the spindle stands' in capsys.readouterr().err
 
@@ -104,7 +127,7 @@ def test_devices_are_read_for_a_while_and_the_whole_offset_is_told(
 ):
     from fuzzycnc_ros.core.thermal import sensor_check
 
-    monkeypatch.setattr(sensor_check, 'WINDOW_MIN', 0.5)
+    monkeypatch.setattr(sensor_check, 'REST_WINDOW_MIN', 0.5)
     out = tmp_path / 'check.json'
     words = ['sensors', 'check', str(devices), '--duration', '1.5s', '--json', str(out)]
     assert run(words) == 1
