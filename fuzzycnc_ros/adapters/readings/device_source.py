@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Driver: reads the devices of a file, whatever their protocols."""
 
-import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from queue import Empty
@@ -62,9 +61,6 @@ class DeviceSource(Source):
                 device.check()
         except ParameterError as error:
             raise ParameterError(f'parameter device_file: {error}') from error
-        # What they have to say is in the health of the devices, in the operator's words.
-        for name in ('asyncua', 'paho', 'pymodbus'):
-            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
         self._node = node
         self._health = [DeviceHealth(device, config.interval) for device in self._devices]
         measuring = [i for i, device in enumerate(self._devices) if device.sensors]

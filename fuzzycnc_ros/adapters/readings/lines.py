@@ -48,7 +48,8 @@ NO_COLUMN = '-'
 UNITS = {'c': (1.0, 0.0), 'f': (5.0 / 9.0, -160.0 / 9.0), 'k': (1.0, -273.15)}
 """Factor and offset to degC of the letter behind a value."""
 _UNIT = re.compile(r'(?:deg|°|º)?([cfk])', re.I)
-_BETWEEN = re.compile(r'[\s=:,;]+')
+_BETWEEN = re.compile(r'[\s=:;]+|,(?!\d+(?:[\s;]|$))')
+"""Between names and values; a comma before a mere number is one of a decimal fraction."""
 _COLUMN = re.compile(r'\s*[,;\t]\s*|\s+')
 
 

@@ -46,7 +46,9 @@ def reading_of(
     >>> reading_of(Channel(name='T1', scale=0.1), 215, 'line', '')
     21.5
     """
-    if isinstance(raw, bool) or not isinstance(raw, (int, float)):
+    # A document may hold a whole number that no float takes.
+    huge = isinstance(raw, int) and raw.bit_length() > 1000
+    if isinstance(raw, bool) or not isinstance(raw, (int, float)) or huge:
         return f'{place}: expected a number but {holder} {shown(raw)}'
     if raw in channel.open_circuit:
         return f'open circuit (raw value {raw})'

@@ -7,17 +7,19 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from queue import Empty
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fuzzycnc_ros.adapters.readings.device_file import read_devices
-from fuzzycnc_ros.adapters.readings.devices import Device
-from fuzzycnc_ros.adapters.readings.link import Reading
-from fuzzycnc_ros.adapters.readings.polling import BACK_OFF_MAX, Polled, Poller
-from fuzzycnc_ros.adapters.readings.reading_sets import ReadingSets
 from fuzzycnc_ros.bags.csv_table import read_sensor_table
 from fuzzycnc_ros.bags.runs import read_temperatures
+from fuzzycnc_ros.cli.console import check_ros
 from fuzzycnc_ros.runtime.records import SECOND, Floats
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.adapters.readings.devices import Device
+    from fuzzycnc_ros.adapters.readings.link import Reading
+    from fuzzycnc_ros.adapters.readings.polling import Polled
 
 LOOK = 0.1
 """Wall time between two looks at what devices brought [s]."""
@@ -88,6 +90,10 @@ class _Reading:
     """Devices of a file, read until it is closed."""
 
     def __init__(self, path: Path) -> None:
+        check_ros('reading devices')
+        from fuzzycnc_ros.adapters.readings.device_file import read_devices
+        from fuzzycnc_ros.adapters.readings.polling import Poller
+
         self.devices: tuple[Device, ...] = read_devices(path)
         for device in self.devices:
             device.check()
@@ -99,7 +105,7 @@ class _Reading:
     def __exit__(self, *error: object) -> None:
         self.poller.close()
 
-    def next(self) -> Polled | None:
+    def next(self) -> 'Polled | None':
         """Return what a device has brought, None if nothing came for a while."""
         try:
             return self.poller.results.get(timeout=LOOK)
@@ -107,8 +113,10 @@ class _Reading:
             return None
 
 
-def read_once(path: Path) -> dict[str, Reading]:
+def read_once(path: Path) -> 'dict[str, Reading]':
     """Return the first reading of each sensor, or why there is none."""
+    from fuzzycnc_ros.adapters.readings.polling import BACK_OFF_MAX
+
     with _Reading(path) as reading:
         found: dict[str, Reading] = {}
         waits = {index for index, device in enumerate(reading.devices) if device.sensors}
@@ -131,6 +139,8 @@ def read_once(path: Path) -> dict[str, Reading]:
 
 def read_for(path: Path, duration: float, tell: Callable[[str, int, int], None]) -> Recorded:
     """Return what the devices of a file read for a while [s]."""
+    from fuzzycnc_ros.adapters.readings.reading_sets import ReadingSets
+
     with _Reading(path) as reading:
         measuring = [i for i, device in enumerate(reading.devices) if device.sensors]
         chosen = [reading.devices[index] for index in measuring]
