@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from time import monotonic
 from typing import Any
 
+from fuzzycnc_ros.adapters.modbus.devices import ModbusDevice, ModbusTcpDevice
 from fuzzycnc_ros.adapters.modbus.registers import (
     Block,
     blocks,
@@ -17,14 +18,8 @@ from fuzzycnc_ros.adapters.modbus.registers import (
     suspects,
     value_of,
 )
-from fuzzycnc_ros.adapters.readings.devices import (
-    SPINDLE,
-    ModbusDevice,
-    ModbusRtuDevice,
-    ModbusTcpDevice,
-)
+from fuzzycnc_ros.adapters.readings.devices import SPINDLE
 from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
-from fuzzycnc_ros.ros.parameters import ParameterError
 
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
 EXCEPTIONS = {
@@ -45,26 +40,6 @@ COURSE = 8
 """Different readings by which the order of a number is judged."""
 
 WRONG_MAP = (ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE)
-
-
-def check(device: ModbusDevice) -> None:
-    """Check what only this protocol can check of a device of the file.
-
-    Raises
-    ------
-    ParameterError
-        If its library is missing.
-    """
-    try:
-        import pymodbus.client  # noqa: F401
-
-        if isinstance(device, ModbusRtuDevice):
-            import serial  # noqa: F401
-    except ImportError as error:
-        raise ParameterError(
-            f'device {device.name}: Modbus needs pymodbus, on a serial line pyserial too '
-            f"({error}); run pip install 'fuzzycnc_ros[modbus]'"
-        ) from error
 
 
 class ModbusLink(Link):

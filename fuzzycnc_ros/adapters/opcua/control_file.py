@@ -17,7 +17,7 @@ from fuzzycnc_ros.adapters.opcua.file_fields import PlaceFields, ServerFields, p
 from fuzzycnc_ros.adapters.opcua.offset_lines import Travel
 from fuzzycnc_ros.adapters.opcua.session import Address, node_id_trouble
 from fuzzycnc_ros.adapters.opcua.variables import ControlVariable, Kind
-from fuzzycnc_ros.adapters.readings.device_file import Scale, SpeedUnit
+from fuzzycnc_ros.adapters.readings.device_fields import Scale, SpeedUnit
 from fuzzycnc_ros.adapters.yaml_model import (
     Field,
     Fields,

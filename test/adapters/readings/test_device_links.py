@@ -20,11 +20,10 @@ from equipment.polled import TIMEOUT, close, good, lost, wait
 from equipment.secured_server import PINNING, SECURITY, secured, user_file
 
 from fuzzycnc_ros.adapters.modbus import link as modbus
-from fuzzycnc_ros.adapters.opcua import readings_link as opc_ua
 from fuzzycnc_ros.adapters.opcua import session as opcua_session
 from fuzzycnc_ros.adapters.readings import polling
 from fuzzycnc_ros.adapters.readings.device_file import read_devices
-from fuzzycnc_ros.adapters.readings.device_source import DeviceHealth, connect
+from fuzzycnc_ros.adapters.readings.device_source import DeviceHealth
 from fuzzycnc_ros.adapters.readings.polling import TEXT_MAX, Poller
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.runtime.component import Level
@@ -72,7 +71,7 @@ def poll(tmp_path):
                 host=LOCAL, port=server.port, sensors=sensors, timeout=timeout, more=more
             )
         )
-        pollers.append(Poller(read_devices(path), connect, time.monotonic_ns))
+        pollers.append(Poller(read_devices(path), time.monotonic_ns))
         return pollers[-1]
 
     yield begin
@@ -342,7 +341,7 @@ def test_wrong_node_id_is_refused_before_any_connection(tmp_path):
     )
     (device,) = read_devices(path)
     with pytest.raises(ParameterError, match="sensor T1: expected a node id but found 'ns=2;g=12"):
-        opc_ua.check(device)
+        device.check()
 
 
 @pytest.mark.slow
