@@ -273,10 +273,10 @@ class LineLink(Link):
         if self._held is not None or len(rest) > LINE_MAX:
             self._refused += len(rest) > LINE_MAX
             self._held = rest if len(rest) <= LINE_MAX else None
-        for line in lines:
-            self._last = shown(line) if line.strip() else self._last
-            if line.strip() and not self._take(line):
-                self._refused += 1
+        for line in filter(bytes.strip, lines):
+            self._last = shown(line)
+            self._pushed.hear()
+            self._refused += not self._take(line)
 
     def _take(self, line: bytes) -> bool:
         """Take the values of a line; return whether it has any."""
@@ -319,7 +319,9 @@ def values_of(
     if line.lstrip().startswith('{'):
         with contextlib.suppress(ValueError, RecursionError):
             found = json.loads(line)
-            yield from ((key, found[key]) for key in keys if key in found)
+            for key in found.keys() & set(keys):
+                value = found[key]
+                yield key, value_in(value.strip()) if isinstance(value, str) else value
         return
     words = [word for word in _BETWEEN.split(line) if word]
     at = 0

@@ -22,18 +22,22 @@ class Pushed:
         self._newest: dict[str, tuple[object, float]] = {}
         self._news = asyncio.Event()
         self._begun = self.ended = False
-        self.heard_at = time.monotonic()
+        self._heard_at = time.monotonic()
 
     @property
     def silence(self) -> float:
         """Time since anything came, or since the beginning [s]."""
-        return time.monotonic() - self.heard_at
+        return time.monotonic() - self._heard_at
 
     def put(self, key: str, value: object) -> None:
         """Take a value."""
         self._newest[key] = (value, time.monotonic())
-        self.heard_at = time.monotonic()
+        self.hear()
         self._news.set()
+
+    def hear(self) -> None:
+        """Note that something came, whatever it is worth."""
+        self._heard_at = time.monotonic()
 
     async def wait(self, timeout: float, keys: Collection[str]) -> None:
         """Wait until something has come since the last call, the first time of all keys.

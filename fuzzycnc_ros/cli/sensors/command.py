@@ -30,6 +30,8 @@ HELP = """Read sensors for the first time, and find those that are off.
 
     fuzzycnc sensors read devices.yaml
     fuzzycnc sensors check night
+
+docs/how-to/your-sensors.md has a device file for each kind of sensor.
 """
 
 DeviceFile = Annotated[

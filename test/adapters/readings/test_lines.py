@@ -135,6 +135,9 @@ def test_a_board_over_tcp_is_read_and_comes_back(field, begin):
     server = field.add(LineServer(b'{"T1": 21.5, "T2": 22}\n'))
     poller = begin(f'{LOCAL}:{server.port}')
     assert list(wait(poller, good).readings) == [21.5, 21.5]
+    server.line = b'T7 1\n'  # heard, and of no use
+    wait(poller, lambda item: good(item) and is_text(item.readings[0], "last line, b'T7 1'"))
+    server.line = b'T1 21.5 T2 22\n'
     field.call(server.stop())
     wait(poller, lost)
     field.call(server.start())
@@ -191,6 +194,7 @@ def test_columns_are_values_in_their_order_and_a_line_cut_short_is_none(board, b
         ('T1', []),
         ('hello', []),
         ('{"T1": null}', [('T1', None)]),
+        ('{"T1": "70.7F"}', [('T1', pytest.approx(21.5))]),
         ('{"T1": 21.5', []),
         ('', []),
     ],
