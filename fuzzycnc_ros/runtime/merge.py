@@ -40,7 +40,7 @@ higher ones."""
 PARALLEL: dict[type[Any], dict[str, tuple[str, ...]]] = {
     AxisState: {'axis': ('reference', 'position', 'velocity')},
     CompensationApplied: {'axis': ('offset', 'at_limit')},
-    Displacement: {'axis': ('channel', 'displacement', 'standard_deviation')},
+    Displacement: {'axis': ('channel', 'displacement', 'standard_deviation', 'position')},
     MachineState: {'axis': ('position',)},
     PredictorState: {'input': ('last_rise',)},
     SensorCluster: {'member': ('score',), 'substitute': ('gain', 'correlation')},

@@ -8,7 +8,7 @@ machine time.  `runtime/convert.py` turns records into messages and back, and a 
 both sides together.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, TypeAlias
 
 import numpy as np
@@ -174,6 +174,12 @@ class Displacement(Record):
     displacement: Floats
     standard_deviation: Floats
     includes_compensation: bool
+    position: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        """Take a position that is left out as an unknown one, in messages too."""
+        if not len(self.position):
+            object.__setattr__(self, 'position', np.full(len(self.axis), np.nan))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
