@@ -15,10 +15,12 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 
 from fuzzycnc_ros.adapters.controller import Readout
+from fuzzycnc_ros.adapters.probing.touches import touch_of
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.inputs.offset_input import OffsetInput, OffsetInputConfig
 from fuzzycnc_ros.core.inputs.offsets import AXES, describe
 from fuzzycnc_ros.runtime.component import (
+    LATCHED,
     Answer,
     Component,
     Emission,
@@ -35,6 +37,8 @@ from fuzzycnc_ros.runtime.records import (
     Floats,
     MachineState,
     Names,
+    ProbeCycleState,
+    ProbeTouch,
     nanoseconds,
 )
 
@@ -101,10 +105,14 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
     CONTROLLER: ClassVar[str]
     """What the controller is called in messages."""
     CONFIG = ControllerBridgeConfig
-    INPUTS = (Input('compensation', Compensation, sole=True),)
+    INPUTS = (
+        Input('compensation', Compensation, sole=True),
+        Input('probe_cycle_state', ProbeCycleState, LATCHED, paced=False),
+    )
     OUTPUTS = (
         Output('machine_state', MachineState),
         Output('compensation_applied', CompensationApplied),
+        Output('probe_touch', ProbeTouch),
     )
     MANAGED = True
     MACHINE_SIDE = True
@@ -132,6 +140,9 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         self._apart_since: int | None = None
         self._told: dict[str, tuple[int, tuple[Any, ...]]] = {}
         self._orders: OrdersT | None = None
+        self._probe: tuple[float, float] | None = None
+        self.probe_due = False
+        """Whether the control shall be shown that a probing cycle is due."""
 
     @property
     def orders(self) -> OrdersT | None:
@@ -175,6 +186,10 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         """Take an offset command; the offset input decides whether it is followed."""
         if self._active and self._leads and self._command(command):
             self._adopted, self._uncommanded = None, 0
+
+    def on_probe_cycle_state(self, state: ProbeCycleState) -> None:
+        """Note whether a probing cycle is due."""
+        self.probe_due = state.due
 
     def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
         """`activate` starts from the read-back; `deactivate` ramps to zero first."""
@@ -357,6 +372,7 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         return True
 
     def _tell(self, status: StatusT, why: str) -> Iterator[Emission]:
+        yield from self._touched(status)
         code, reason = self._verdict(status, why)
         allowed = self._active and not why
         if self._due('machine_state', (status.mode, status.homed, allowed)):
@@ -374,6 +390,15 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         if self._due('applied', (cause, offsets), spacing):
             told = self._applied(code, reason, status.applied, limited)
             yield Emission('compensation_applied', told)
+
+    def _touched(self, status: StatusT) -> Iterator[Emission]:
+        """Yield what a probing cycle tells, once; what stands at first is of an older one."""
+        before, self._probe = self._probe, status.probe
+        if status.probe is None or before is None or status.probe[0] == before[0]:
+            return
+        touch = touch_of(self._stamp, self.frame('machine'), *status.probe)
+        if touch is not None:
+            yield Emission('probe_touch', touch)
 
     def _limited(self, status: StatusT) -> Bools:
         """Whether any limit cuts the offset of each axis."""

@@ -312,6 +312,7 @@ ADDED = {
     'linuxcnc': 'linuxcnc_bridge',
     'opcua': 'opcua_bridge',
     'body': 'simulated_body',
+    'probe': 'probe_cycle',
 }
 """Launch arguments that add a node to those of thermal compensation."""
 

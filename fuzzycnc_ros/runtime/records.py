@@ -183,6 +183,51 @@ class Displacement(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class ProbeTouch(Record):
+    """Touch of a probing cycle, or its begin or end."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/ProbeTouch'
+
+    kind: int
+    number: int
+    position: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ProbeStatus(Record):
+    """Knowledge of the thermal error from probes."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/ProbeStatus'
+
+    due: bool
+    reason: str
+    due_at: Stamp
+    probed_at: Stamp
+    axis: Names
+    channel: Names
+    band: Floats
+    change: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ProbeCycleState(Record):
+    """State of the probing cycle."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/ProbeCycleState'
+
+    due: bool
+    reason: str
+    outcome: str
+    accepted: bool
+    failures: int
+    signature: int
+    reference_stamp: Stamp
+    zero: Floats
+    size: Floats
+    noise: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Compensation(Record):
     """Offsets that the machine shall add to its commanded positions."""
 

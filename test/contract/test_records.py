@@ -46,6 +46,7 @@ ANNOTATIONS = {
 ENUMS = [
     ('Temperatures', 'STATUS', codes.Status),
     ('SpindleSpeed', 'STATUS', codes.SpeedStatus),
+    ('ProbeTouch', 'KIND', codes.TouchKind),
     ('ThermalError', 'REASON', codes.Reason),
     ('Compensation', 'STATE', codes.CompensationState),
     ('CompensationApplied', 'STATUS', codes.AppliedStatus),

@@ -1,0 +1,79 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Node `probe_cycle`: the file of the cycle, and results that the control writes into a file."""
+
+from pathlib import Path
+
+from rclpy.node import Node
+
+from fuzzycnc_ros.adapters.probing.result_file import ResultFile
+from fuzzycnc_ros.adapters.probing.touches import touch_of
+from fuzzycnc_ros.components.probing.probe_cycle import ProbeCycle
+from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.clocks import wall_timer
+from fuzzycnc_ros.ros.host import ComponentNode
+from fuzzycnc_ros.ros.topics import RCLPY, create_publisher
+from fuzzycnc_ros.runtime.component import STREAM, Health
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.records import ProbeTouch
+
+POLL = 0.2
+"""Wall time [s] between two looks at the result file."""
+
+
+class ProbeCycleNode(ComponentNode):
+    """Serve the probing cycle."""
+
+    component: ProbeCycle
+
+    def __init__(self, node: Node) -> None:
+        super().__init__(node, ProbeCycle)
+        config = self.component.configuration
+        self._plan = _plan(config.probe_file) if config.probe_file else ''
+        self._results: ResultFile | None = None
+        if config.result_file:
+            self._results = ResultFile(Path(config.result_file).expanduser())
+            self._publisher = create_publisher(node, ProbeTouch.TYPE, 'probe_touch', STREAM)
+            self._newest = 0
+            wall_timer(node, POLL, self._read)
+
+    def start(self) -> None:
+        """Hand the plan over."""
+        super().start()
+        if self._plan:
+            self.request('use_plan', {'plan': self._plan})
+
+    def own_health(self) -> list[Health]:
+        """Report on the result file."""
+        return [] if self._results is None else [self._results.health()]
+
+    def _read(self) -> None:
+        """Publish what the control has written."""
+        assert self._results is not None
+        for code, value in self._results.read():
+            self._newest = max(self.now(), self._newest + 1)
+            touch = touch_of(self._newest, self.component.frame('machine'), code, value)
+            if touch is not None:
+                self._publisher.publish(encode(touch, RCLPY))
+
+
+def _plan(name: str) -> str:
+    """Return the plan of a probe file as text."""
+    # What reads it is no part of every installation.
+    from fuzzycnc_ros.adapters.probing.probe_file import read_plan
+
+    return read_plan(Path(name).expanduser()).to_json()
+
+
+def make() -> ProbeCycleNode:
+    """Create the node."""
+    return ProbeCycleNode(Node(ProbeCycle.NAME))
+
+
+def main() -> None:
+    """Run the node until it is interrupted."""
+    run.main(make)
+
+
+if __name__ == '__main__':
+    main()
