@@ -104,6 +104,8 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
 
     CONTROLLER: ClassVar[str]
     """What the controller is called in messages."""
+    PROBE_OFFSET: ClassVar[bool] = False
+    """Whether coordinates of a probing cycle contain the offset in force."""
     CONFIG = ControllerBridgeConfig
     INPUTS = (
         Input('compensation', Compensation, sole=True),
@@ -141,6 +143,7 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         self._told: dict[str, tuple[int, tuple[Any, ...]]] = {}
         self._orders: OrdersT | None = None
         self._probe: tuple[float, float] | None = None
+        self._touched_at = 0
         self.probe_due = False
         """Whether the control shall be shown that a probing cycle is due."""
 
@@ -396,7 +399,10 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         before, self._probe = self._probe, status.probe
         if status.probe is None or before is None or status.probe[0] == before[0]:
             return
-        touch = touch_of(self._stamp, self.frame('machine'), *status.probe)
+        # A clock that goes in steps may stand still between two touches.
+        self._touched_at = max(self._stamp, self._touched_at + 1)
+        frame = self.frame('machine')
+        touch = touch_of(self._touched_at, frame, *status.probe, includes_offset=self.PROBE_OFFSET)
         if touch is not None:
             yield Emission('probe_touch', touch)
 

@@ -18,7 +18,7 @@ from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.records import ProbeTouch
 
 POLL = 0.2
-"""Wall time [s] between two looks at the result file."""
+"""Wall time [s] between two looks at the result file, and at a clock that does not go yet."""
 
 
 class ProbeCycleNode(ComponentNode):
@@ -40,8 +40,16 @@ class ProbeCycleNode(ComponentNode):
     def start(self) -> None:
         """Hand the plan over."""
         super().start()
+        self._hand_over()
         if self._plan:
-            self.request('use_plan', {'plan': self._plan})
+            wall_timer(self.node, POLL, self._hand_over)
+
+    def _hand_over(self) -> None:
+        """Hand the plan over as soon as it is known what time it is."""
+        now = self.now()
+        if self._plan and (now > 0 or self.settings.lockstep):
+            self.request('use_plan', {'plan': self._plan, 'now': now})
+            self._plan = ''
 
     def own_health(self) -> list[Health]:
         """Report on the result file."""
@@ -52,7 +60,13 @@ class ProbeCycleNode(ComponentNode):
         assert self._results is not None
         for code, value in self._results.read():
             self._newest = max(self.now(), self._newest + 1)
-            touch = touch_of(self._newest, self.component.frame('machine'), code, value)
+            touch = touch_of(
+                self._newest,
+                self.component.frame('machine'),
+                code,
+                value,
+                includes_offset=self.component.configuration.result_offset,
+            )
             if touch is not None:
                 self._publisher.publish(encode(touch, RCLPY))
 

@@ -191,6 +191,7 @@ class ProbeTouch(Record):
     kind: int
     number: int
     position: float
+    includes_offset: bool
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -14,8 +14,8 @@ from string import Template
 
 from fuzzycnc_ros.core.probing.plan import PROBED_AXES, Place, ProbePlan, Touch
 
-BEGIN, END = 0, 1_000_000
-"""Codes of begin and end; those between are touches."""
+BEGIN, END = 999_999, 1_000_000
+"""Codes of begin and end; smaller ones are touches, and 0 is what an output has at first."""
 CODE_OUTPUT, VALUE_OUTPUT = 0, 1
 """Analogue outputs of LinuxCNC that pass code and number to HAL."""
 

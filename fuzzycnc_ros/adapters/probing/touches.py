@@ -11,7 +11,9 @@ from fuzzycnc_ros.runtime.records import ProbeTouch, Stamp
 MM = 1e-3
 
 
-def touch_of(stamp: Stamp, frame_id: str, code: float, value: float) -> ProbeTouch | None:
+def touch_of(
+    stamp: Stamp, frame_id: str, code: float, value: float, *, includes_offset: bool
+) -> ProbeTouch | None:
     """Return the touch that a program tells; None for what none tells.
 
     Parameters
@@ -22,8 +24,10 @@ def touch_of(stamp: Stamp, frame_id: str, code: float, value: float) -> ProbeTou
         Frame of the machine.
     code, value : float
         Its code, and the number beside it: a signature, or a coordinate [mm].
+    includes_offset : bool
+        Whether coordinates contain the offset in force.
     """
-    if not (np.isfinite(code) and np.isfinite(value) and -END < code <= END):
+    if not (np.isfinite(code) and np.isfinite(value) and 0.0 < abs(code) <= END):
         return None
     kind, number, position = TouchKind.TOUCH, round(abs(code)), np.nan
     if code == BEGIN:
@@ -35,5 +39,10 @@ def touch_of(stamp: Stamp, frame_id: str, code: float, value: float) -> ProbeTou
     else:
         position = MM * value
     return ProbeTouch(
-        stamp=stamp, frame_id=frame_id, kind=int(kind), number=number, position=position
+        stamp=stamp,
+        frame_id=frame_id,
+        kind=int(kind),
+        number=number,
+        position=position,
+        includes_offset=includes_offset,
     )

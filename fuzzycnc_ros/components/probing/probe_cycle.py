@@ -55,6 +55,9 @@ class ProbeCycleConfig(Config):
         '-',
         'File into which the control writes results; empty where a bridge brings them',
     )
+    result_offset: bool = param(
+        False, '-', 'Coordinates in the result file contain the offset in force'
+    )
     spread_max: float = param(
         5e-6,
         'm',
@@ -109,6 +112,9 @@ class ProbeCycleConfig(Config):
         high=100,
         live=True,
     )
+    look_period: float = param(
+        30.0, 's', 'Time between two looks whether a cycle is due', low=0.1, high=3600.0
+    )
     cycle_time_max: float = param(
         1800.0,
         's',
@@ -155,12 +161,12 @@ class ProbeCycle(Component[ProbeCycleConfig]):
         self._outcome, self._accepted, self._failures = '', True, 0
         self._told: tuple[bool, str] | None = None
         self._news = True
-        self._tell_at: Stamp | None = None
+        self._look_at: Stamp | None = None
 
     # What comes in.
 
     def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
-        """Take the plan of the cycle by `use_plan`."""
+        """Take the plan of the cycle by `use_plan`, and look from its time `now` [ns] on."""
         if name != 'use_plan':
             return super().on_request(name, arguments, stamp)
         try:
@@ -168,6 +174,7 @@ class ProbeCycle(Component[ProbeCycleConfig]):
         except ValueError as error:
             return Answer(False, str(error))
         self._touches, self._news = None, True
+        self._look_at = int(arguments.get('now', stamp))
         text = f'{self._plan.count} touches, signature {self._plan.signature}'
         return Answer(True, text, tuple(self._tell(stamp)))
 
@@ -178,14 +185,6 @@ class ProbeCycle(Component[ProbeCycleConfig]):
             self._zero_of = record.signature, record.reference_stamp
             self._failures, self._outcome = record.failures, record.outcome
             self._accepted = record.accepted
-
-    def on_thermal_reference(self, reference: ThermalReference) -> None:
-        """Tell anew what is due: errors are counted from now on."""
-        self._tell_at = reference.stamp
-
-    def on_probe_status(self, status: ProbeStatus) -> None:
-        """Tell anew what is due."""
-        self._tell_at = status.stamp
 
     def on_probe_touch(self, touch: ProbeTouch) -> Iterator[Emission]:
         """Take a touch; at the end of a cycle tell what it means."""
@@ -209,7 +208,8 @@ class ProbeCycle(Component[ProbeCycleConfig]):
         if touch.kind == TouchKind.TOUCH:
             if touch.number == len(self._touches) + 1 <= plan.count:
                 row = self._rows(plan)[len(self._touches)]
-                self._touches.append(touch.position + self._offsets(plan)[row])
+                offset = 0.0 if touch.includes_offset else self._offsets(plan)[row]
+                self._touches.append(touch.position + offset)
                 self._touched = touch.stamp
                 return
             self._fail(touch.stamp, f'touch {len(self._touches) + 1} was not heard')
@@ -223,22 +223,17 @@ class ProbeCycle(Component[ProbeCycleConfig]):
 
     @property
     def next_deadline(self) -> int | None:
-        """When to tell what is due, or that a cycle was broken off."""
-        times = [self._tell_at]
-        if self._touches is not None:
-            times.append(self._begun + nanoseconds(self._config.cycle_time_max))
-        if self._ended is not None:
-            times.append(self._ended + nanoseconds(self._config.interval_min))
-        return min((time for time in times if time is not None), default=None)
+        """When to look again whether one is due: what is heard meanwhile waits for that."""
+        return self._look_at
 
     def on_deadline(self, stamp: int) -> Iterable[Emission]:
-        """Tell what is due, if that is news."""
-        begun = self._begun + nanoseconds(self._config.cycle_time_max)
+        """Tell what is due, if that is news, and that a cycle was broken off."""
+        config = self._config
+        self._look_at = stamp + nanoseconds(config.look_period)
+        begun = self._begun + nanoseconds(config.cycle_time_max)
         if self._touches is not None and stamp >= begun:
             self._fail(stamp, 'the cycle was broken off')
-        if self._ended is not None and stamp >= self._ended + nanoseconds(
-            self._config.interval_min
-        ):
+        if self._ended is not None and stamp >= self._ended + nanoseconds(config.interval_min):
             self._ended = None
         return tuple(self._tell(stamp))
 
@@ -352,7 +347,6 @@ class ProbeCycle(Component[ProbeCycleConfig]):
 
     def _tell(self, stamp: Stamp) -> Iterator[Emission]:
         """Yield the state, if there is news."""
-        self._tell_at = None
         news = self._due(stamp)
         if not self._news and self._told is not None and news[0] == self._told[0]:
             return

@@ -24,9 +24,11 @@ def test_the_first_cycle_after_the_reference_is_the_zero():
     np.testing.assert_allclose(rig.state.size, [0.031, np.nan])
 
 
+@pytest.mark.parametrize('told', [False, True])
 @pytest.mark.parametrize('offset', [[0.0, 0.0], [3.0, -20.0]])
-def test_a_later_cycle_tells_the_displacement_with_the_offset_in_force(offset):
+def test_a_later_cycle_tells_the_displacement_with_the_offset_in_force(offset, told):
     rig = zeroed()
+    rig.includes_offset = told
     rig.error, rig.offset = {'Y': 7.0, 'Z': -12.5}, offset
     rig.cycle()
     probe = rig.probes[-1]

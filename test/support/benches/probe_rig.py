@@ -49,13 +49,16 @@ class ProbeRig(Bench):
         Thermal error of each axis [um].
     offset : list of float
         Offsets in force on Y and Z [um].
+    includes_offset : bool
+        Whether the control tells coordinates with the offset in force.
     """
 
     def __init__(self, *, plan: ProbePlan | None = None, **changes: Any) -> None:
-        super().__init__(ProbeCycle(ProbeCycleConfig(**changes)))
+        super().__init__(ProbeCycle(ProbeCycleConfig(**{'look_period': 1.0} | changes)))
         self.plan = plan or sphere()
         self.error: Mapping[str, float] = {'Y': 0.0, 'Z': 0.0}
         self.offset = [0.0, 0.0]
+        self.includes_offset = False
         self.time = 1000.0
         assert self.request('use_plan', plan=self.plan.to_json()).success
 
@@ -92,7 +95,16 @@ class ProbeRig(Bench):
         offset = MICRON * np.array(self.offset)
         self.push('compensation_applied', applied(self.time, offset))
         stamp = nanoseconds(self.time)
-        record = ProbeTouch(stamp=stamp, kind=int(kind), number=number, position=position)
+        if self.includes_offset and kind is TouchKind.TOUCH:
+            axis = self.plan.touches[(number - 1) // self.plan.repeats][1].axis
+            position += MICRON * self.offset['YZ'.index(axis)]
+        record = ProbeTouch(
+            stamp=stamp,
+            kind=int(kind),
+            number=number,
+            position=position,
+            includes_offset=self.includes_offset,
+        )
         self.give('probe_touch', record)
 
     def begin(self) -> None:

@@ -40,7 +40,13 @@ class ProbeCycleTarget(CopiedTarget):
             found = rig.component.last(rig.component.STATUS)
             return ProbeStatus(**{**vars(found), 'stamp': stamp})
         number = rng.randrange(10)
-        return ProbeTouch(stamp=stamp, kind=rng.randrange(4), number=number, position=0.0)
+        return ProbeTouch(
+            stamp=stamp,
+            kind=rng.randrange(4),
+            number=number,
+            position=0.0,
+            includes_offset=rng.random() < 0.5,
+        )
 
     def recover(self, bench, stamp):
         bench.time = stamp / SECOND + 7200.0
