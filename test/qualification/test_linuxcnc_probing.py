@@ -104,7 +104,7 @@ def test_a_faulty_probe_teaches_nothing_false_and_ends_the_cycle_above(machine, 
         before = states[-1].stamp
         value, place = call(controller)
         observer.until(lambda: states[-1].stamp > before and states[-1].outcome == text, text)
-        assert place[2] == pytest.approx(-60.0, abs=0.1), 'above at the end'
+        assert place[2] == pytest.approx(-64.0, abs=0.1), 'above at the end'
         return value, probes[-1].displacement / MICRON if probes else None
 
     value, found = cycle()
@@ -192,7 +192,7 @@ def live_day(machine, folder, duration):
     specs = [
         NodeSpec('linuxcnc_bridge', {**active, **bridge}),
         NodeSpec('temperature_acquisition', common),
-        NodeSpec('probe_cycle', {**common, 'probe_file': str(file)}),
+        NodeSpec('probe_cycle', {**common, 'probe_file': str(file), 'look_period': 10.0}),
         NodeSpec('thermal_predictor', predictor),
         NodeSpec('compensator', compensator),
         NodeSpec('recorder', {**common, 'output': str(folder / 'bag')}),

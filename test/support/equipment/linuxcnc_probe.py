@@ -15,11 +15,11 @@ DIAMETER, TIP = 20.0, 6.0
 
 FILE = f"""
 box: {{X: [0, 100], Y: [-100, 10], Z: [-95, 5]}}
-travel_height: -60
+travel_height: -64
 tip: {TIP}
 clearance: 1
 back_off: 0.1
-approach_feed: 600
+approach_feed: 1500
 feed: 60
 repeats: 3
 artefacts:
