@@ -143,6 +143,7 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         self._told: dict[str, tuple[int, tuple[Any, ...]]] = {}
         self._orders: OrdersT | None = None
         self._probe: tuple[float, float] | None = None
+        self._probe_told: float | None = None
         self._touched_at = 0
         self.probe_due = False
         """Whether the control shall be shown that a probing cycle is due."""
@@ -395,9 +396,18 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
             yield Emission('compensation_applied', told)
 
     def _touched(self, status: StatusT) -> Iterator[Emission]:
-        """Yield what a probing cycle tells, once; what stands at first is of an older one."""
+        """Yield what a probing cycle tells, once; what stands at first is of an older one.
+
+        A code is believed when it is seen again: what is read with it then was written before.
+        """
         before, self._probe = self._probe, status.probe
-        if status.probe is None or before is None or status.probe[0] == before[0]:
+        if status.probe is None or before is None:
+            return
+        code = status.probe[0]
+        if code != before[0] or code == self._probe_told:
+            return
+        first, self._probe_told = self._probe_told is None, code
+        if first:
             return
         # A clock that goes in steps may stand still between two touches.
         self._touched_at = max(self._stamp, self._touched_at + 1)
