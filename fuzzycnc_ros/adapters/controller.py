@@ -34,6 +34,10 @@ class Readout:
     """Offsets in force: the read-back [m]."""
     spindle_speed: float = np.nan
     """Positive clockwise seen from the spindle [rad/s]."""
+    coolant: bool | None = None
+    """Whether flood or mist is on; None where the controller does not tell."""
+    spindle_load: float = np.nan
+    """Load of the spindle drive; 1 is its rated one [-]."""
     probe: tuple[float, float] | None = None
     """Code and number that a probing cycle told last; see `adapters/probing/programs.py`."""
 

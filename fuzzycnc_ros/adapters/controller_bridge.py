@@ -9,7 +9,7 @@ the read-back, never the command.
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
@@ -29,7 +29,7 @@ from fuzzycnc_ros.runtime.component import (
     Level,
     Output,
 )
-from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
+from fuzzycnc_ros.runtime.enums import AppliedStatus, Coolant, MachineMode
 from fuzzycnc_ros.runtime.records import (
     Bools,
     Compensation,
@@ -142,6 +142,12 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         self._apart_since: int | None = None
         self._told: dict[str, tuple[int, tuple[Any, ...]]] = {}
         self._orders: OrdersT | None = None
+        self._travel = np.zeros(len(self._axes))
+        """Distance that each axis has moved, shape (axes,) [m]."""
+        self._square_speed = np.zeros(len(self._axes))
+        """Integral of its squared speed, shape (axes,) [m2/s]."""
+        self._seen_at: tuple[int, Floats] | None = None
+        """Time and position of the cycle before, to know the way since."""
         self._probe: tuple[float, float] | None = None
         self._probe_told: float | None = None
         self._touched_at = 0
@@ -215,7 +221,7 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         self._work_at(stamp)
         if not self._absent:
             self._told = {}
-        self._status, self._absent = None, why
+        self._status, self._absent, self._seen_at = None, why, None
         self._count_uncommanded()
         self._holding, self._orders, self._apart_since = False, None, None
         self._forget()
@@ -377,11 +383,21 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
 
     def _tell(self, status: StatusT, why: str) -> Iterator[Emission]:
         yield from self._touched(status)
+        self._move(status.position)
         code, reason = self._verdict(status, why)
         allowed = self._active and not why
         if self._due('machine_state', (status.mode, status.homed, allowed)):
-            state = self._state(
-                status.mode, status.homed, status.position, status.spindle_speed, allowed
+            coolant = Coolant.UNKNOWN
+            if status.coolant is not None:
+                coolant = Coolant.ON if status.coolant else Coolant.OFF
+            state = replace(
+                self._state(
+                    status.mode, status.homed, status.position, status.spindle_speed, allowed
+                ),
+                coolant=int(coolant),
+                spindle_load=status.spindle_load,
+                travel=self._travel.copy(),
+                square_speed=self._square_speed.copy(),
             )
             yield Emission('machine_state', state)
         limited = self._limited(status)
@@ -394,6 +410,15 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         if self._due('applied', (cause, offsets), spacing):
             told = self._applied(code, reason, status.applied, limited)
             yield Emission('compensation_applied', told)
+
+    def _move(self, position: Floats) -> None:
+        """Add what the axes have moved since the cycle before."""
+        before, self._seen_at = self._seen_at, (self._time, position.copy())
+        if before is None or self._time <= before[0]:
+            return
+        step, elapsed = position - before[1], 1e-9 * (self._time - before[0])
+        self._travel = self._travel + np.abs(step)
+        self._square_speed = self._square_speed + step * step / elapsed
 
     def _touched(self, status: StatusT) -> Iterator[Emission]:
         """Yield what a probing cycle tells, once; what stands at first is of an older one.

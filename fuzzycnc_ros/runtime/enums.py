@@ -32,6 +32,14 @@ class SpeedStatus(IntEnum):
     OUT_OF_RANGE = 2
 
 
+class Coolant(IntEnum):
+    """Coolant of a machine, `MachineState.COOLANT_*`."""
+
+    UNKNOWN = 0
+    OFF = 1
+    ON = 2
+
+
 class TouchKind(IntEnum):
     """What happened in a probing cycle, `ProbeTouch.KIND_*`."""
 

@@ -43,7 +43,7 @@ PARALLEL: dict[type[Any], dict[str, tuple[str, ...]]] = {
     AxisState: {'axis': ('reference', 'position', 'velocity')},
     CompensationApplied: {'axis': ('offset', 'at_limit')},
     Displacement: {'axis': ('channel', 'displacement', 'standard_deviation', 'position')},
-    MachineState: {'axis': ('position',)},
+    MachineState: {'axis': ('position', 'travel', 'square_speed')},
     PredictorState: {'input': ('last_rise',)},
     SensorCluster: {'member': ('score',), 'substitute': ('gain', 'correlation')},
     Temperatures: {'sensor': ('temperature', 'status')},

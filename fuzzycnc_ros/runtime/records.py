@@ -279,6 +279,16 @@ class MachineState(Record):
     spindle_speed: float
     axis: Names
     position: Floats
+    coolant: int = 0
+    spindle_load: float = np.nan
+    travel: Floats = field(default_factory=lambda: np.zeros(0))
+    square_speed: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        """Take what is left out as unknown, in messages too."""
+        for name in ('travel', 'square_speed'):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.full(len(self.axis), np.nan))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

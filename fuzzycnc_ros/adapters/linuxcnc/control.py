@@ -169,6 +169,7 @@ class Linuxcnc(Controller[ControllerStatus, ControllerOutput, ControllerLimits])
             scale=column('scale', metre),
             tick=found['tick'],
             spindle_speed=2.0 * math.pi * found['spindle'],
+            coolant=found['coolant'],
             probe=(found['probe-code'], found['probe-value']) if found['probed'] else None,
         )
 

@@ -239,6 +239,7 @@ class Bridge:
         return {
             'mode': mode,
             'units': state.linear_units or 1.0,
+            'coolant': bool(state.flood or state.mist),
             'spindle': self._hal.get_value('spindle.0.speed-out-rps'),
             'writer': '' if is_dead(owner) else owner,
         }

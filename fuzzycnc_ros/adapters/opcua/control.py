@@ -200,6 +200,8 @@ class OpcUaControl(Controller[LineStatus, LineOrders, LineLimits]):
             position=self._column(found, 'position', np.nan),
             applied=self._column(found, 'applied'),
             spindle_speed=found.get('spindle_speed', np.nan),
+            coolant=found.get('coolant'),
+            spindle_load=found.get('spindle_load', np.nan),
             probe=_probe(found),
             lines=Lines(
                 offset=self._column(found, 'offset'),

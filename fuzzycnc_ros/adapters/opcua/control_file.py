@@ -96,6 +96,10 @@ class _State(Fields):
     spindle_speed: Annotated[Annotated[_Speed, Shorthand('node')] | None, _READ] = Field(
         None, description='Spindle speed'
     )
+    spindle_load: Annotated[_Scaled | None, _READ] = Field(
+        None, description='Load of the spindle drive; 1 is its rated one'
+    )
+    coolant: _Switch = Field(None, description='Coolant is on')
 
 
 class _Probe(Fields):

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_bridge import LinuxcncBridge, LinuxcncBridgeConfig
 from fuzzycnc_ros.adapters.linuxcnc.status import ControllerLimits
 from fuzzycnc_ros.adapters.probing.programs import BEGIN, END
-from fuzzycnc_ros.runtime.enums import AppliedStatus, TouchKind
+from fuzzycnc_ros.runtime.enums import AppliedStatus, Coolant, TouchKind
 from fuzzycnc_ros.runtime.records import nanoseconds
 
 
@@ -66,6 +66,23 @@ def test_a_clock_that_stands_still_loses_no_touch():
             found = rig.bridge.observe(nanoseconds(5.0), rig.controller.cycle())
             stamps += [item.record.stamp for item in found if item.output == 'probe_touch']
     assert len(set(stamps)) == 3
+
+
+def test_what_the_axes_have_moved_is_told():
+    rig = Rig(active=False)
+    rig.run(0.1)
+    for step in range(100):
+        rig.controller.position = np.array([1e-3 * (step % 2), 1e-3 * step, 0.0])
+        rig.run(CYCLE)
+    rig.run(1.0)
+    state = rig.bench.records('machine_state')[-1]
+    np.testing.assert_allclose(state.travel, [0.099, 0.099, 0.0], atol=1e-9)
+    np.testing.assert_allclose(state.square_speed, [0.0099, 0.0099, 0.0], rtol=1e-6)
+    assert state.coolant == Coolant.UNKNOWN
+    rig.bench.emitted += rig.bridge.lose(nanoseconds(rig.time), 'it has ended')
+    rig.controller.position = np.array([0.0, 5.0, 0.0])
+    rig.run(1.0)
+    assert rig.bench.records('machine_state')[-1].travel[1] == pytest.approx(0.099)
 
 
 def test_what_is_due_is_shown():
