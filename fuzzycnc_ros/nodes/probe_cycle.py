@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Node `probe_cycle`: the file of the cycle, and results that the control writes into a file."""
 
+from collections import deque
 from pathlib import Path
 
 from rclpy.node import Node
@@ -12,12 +13,14 @@ from fuzzycnc_ros.components.probing.probe_cycle import ProbeCycle
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.host import ComponentNode
-from fuzzycnc_ros.ros.topics import RCLPY, create_publisher
+from fuzzycnc_ros.ros.topics import RCLPY, SUBSCRIPTION_DEPTH, create_publisher
 from fuzzycnc_ros.runtime.component import STREAM, Health
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.records import ProbeTouch
 
-POLL = 0.2
+AT_ONCE = SUBSCRIPTION_DEPTH // 2
+"""Most results that are published at one look: a reader keeps twice as many."""
+POLL = 0.1
 """Wall time [s] between two looks at the result file, and at a clock that does not go yet."""
 
 
@@ -35,6 +38,7 @@ class ProbeCycleNode(ComponentNode):
             self._results = ResultFile(Path(config.result_file).expanduser())
             self._publisher = create_publisher(node, ProbeTouch.TYPE, 'probe_touch', STREAM)
             self._newest = 0
+            self._waiting: deque[tuple[float, float]] = deque()
             wall_timer(node, POLL, self._read)
 
     def start(self) -> None:
@@ -56,9 +60,11 @@ class ProbeCycleNode(ComponentNode):
         return [] if self._results is None else [self._results.health()]
 
     def _read(self) -> None:
-        """Publish what the control has written."""
+        """Publish what the control has written, a few at a time: it may write all at the end."""
         assert self._results is not None
-        for code, value in self._results.read():
+        self._waiting.extend(self._results.read())
+        for _ in range(min(AT_ONCE, len(self._waiting))):
+            code, value = self._waiting.popleft()
             self._newest = max(self.now(), self._newest + 1)
             touch = touch_of(
                 self._newest,
