@@ -89,8 +89,8 @@ class ProbeLearning:
         self._deviation = np.full(channels, np.nan)
         self._change = np.full(channels, np.nan)
         """Change of the error by the newest probe, shape (c,) [m]."""
-        self._narrowest: tuple[Stamp, Floats] | None = None
-        """When the bands were narrowest since the newest probe, and their half widths [m]."""
+        self._narrowest: tuple[Floats, Floats] | None = None
+        """When each band was narrowest since the newest probe [ns], and its half width [m]."""
         self.doubted: NDArray[np.int64] = np.zeros(channels, dtype=np.int64)
         """Number of probes of each channel that were not believed, shape (c,)."""
         self._before: deque[_Known] = deque(maxlen=KEPT)
@@ -332,10 +332,11 @@ class ProbeLearning:
             return None
         half, wanted = WIDTH * self._deviation, self._config.band_wanted
         wide = half > wanted
-        if self._narrowest is None or (half <= self._narrowest[1]).any():
-            self._narrowest = stamp, half
-        since, least = self._narrowest
-        growth = (half - least) / max(stamp - since, 1)
+        since, least = self._narrowest or (np.full(len(half), float(stamp)), half)
+        narrower = half <= least
+        since, least = np.where(narrower, float(stamp), since), np.where(narrower, half, least)
+        self._narrowest = since, least
+        growth = (half - least) / np.maximum(stamp - since, 1.0)
         due_at = stamp if wide.any() else 0
         reason = self._reason(wide) if wide.any() else 'the band is narrow enough'
         if not due_at and (growth > 0.0).any():
