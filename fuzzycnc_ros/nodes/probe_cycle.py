@@ -21,7 +21,11 @@ from fuzzycnc_ros.runtime.records import ProbeTouch
 AT_ONCE = SUBSCRIPTION_DEPTH // 2
 """Most results that are published at one look: a reader keeps twice as many."""
 POLL = 0.1
-"""Wall time [s] between two looks at the result file, and at a clock that does not go yet."""
+"""Wall time [s] between two looks at the result file."""
+
+
+NEWS = (ProbeCycle.REFERENCE.name, ProbeCycle.STATUS.name)
+"""Inputs that are worth work alone."""
 
 
 class ProbeCycleNode(ComponentNode):
@@ -34,6 +38,7 @@ class ProbeCycleNode(ComponentNode):
         config = self.component.configuration
         self._plan = _plan(config.probe_file) if config.probe_file else ''
         self._results: ResultFile | None = None
+        self._unheard = False
         if config.result_file:
             self._results = ResultFile(Path(config.result_file).expanduser())
             self._publisher = create_publisher(node, ProbeTouch.TYPE, 'probe_touch', STREAM)
@@ -44,16 +49,22 @@ class ProbeCycleNode(ComponentNode):
     def start(self) -> None:
         """Hand the plan over."""
         super().start()
-        self._hand_over()
         if self._plan:
-            wall_timer(self.node, POLL, self._hand_over)
+            self.request('use_plan', {'plan': self._plan})
 
-    def _hand_over(self) -> None:
-        """Hand the plan over as soon as it is known what time it is."""
-        now = self.now()
-        if self._plan and (now > 0 or self.settings.lockstep):
-            self.request('use_plan', {'plan': self._plan, 'now': now})
-            self._plan = ''
+    def on_heard(self, topic: str, sequence_number: int) -> None:
+        """Note that there is news: no touch, which drives, may come for hours."""
+        super().on_heard(topic, sequence_number)
+        self._unheard |= topic.rpartition('/')[2] in NEWS
+
+    def on_poll(self) -> None:
+        """Work up to what was heard, also where nothing drives."""
+        super().on_poll()
+        newest = max(self.merger.counts[name].newest or 0 for name in NEWS)
+        if self._unheard and newest <= self.now():
+            self._unheard = False
+            self.work(newest)
+            self.note_deadline(newest)
 
     def own_health(self) -> list[Health]:
         """Report on the result file."""

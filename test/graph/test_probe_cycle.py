@@ -25,7 +25,7 @@ def test_results_in_a_file_become_a_displacement(graph, observer, tmp_path):
     results.write_text('1 2.0\n')
     probes = observer.records('displacement', Displacement)
     states = observer.records('probe_cycle_state', ProbeCycleState, LATCHED)
-    parameters = {'probe_file': str(FILE), 'result_file': str(results), 'look_period': 0.1}
+    parameters = {'probe_file': str(FILE), 'result_file': str(results)}
     graph.start('probe_cycle', parameters)
     observer.until(lambda: states, 'it tells what is due')
     assert not states[-1].due

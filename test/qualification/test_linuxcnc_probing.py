@@ -81,7 +81,7 @@ def test_a_faulty_probe_teaches_nothing_false_and_ends_the_cycle_above(machine, 
     probes = observer.records('displacement', Displacement)
     states = observer.records('probe_cycle_state', ProbeCycleState, LATCHED)
     graph.start('linuxcnc_bridge', {'axes': ['Y', 'Z']})
-    parameters = {'interval_min': 0.0, 'failures_max': 9, 'look_period': 0.2}
+    parameters = {'interval_min': 0.0, 'failures_max': 9}
     graph.start('probe_cycle', {'probe_file': str(file), **parameters})
     observer.until(lambda: states, 'the plan')
     now = time.time_ns()
@@ -194,7 +194,7 @@ def live_day(machine, folder, duration):
     specs = [
         NodeSpec('linuxcnc_bridge', {**active, **bridge}),
         NodeSpec('temperature_acquisition', common),
-        NodeSpec('probe_cycle', {**common, 'probe_file': str(file), 'look_period': 10.0}),
+        NodeSpec('probe_cycle', {**common, 'probe_file': str(file)}),
         NodeSpec('thermal_predictor', predictor),
         NodeSpec('compensator', compensator),
         NodeSpec('recorder', {**common, 'output': str(folder / 'bag')}),

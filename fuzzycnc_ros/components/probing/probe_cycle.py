@@ -112,9 +112,6 @@ class ProbeCycleConfig(Config):
         high=100,
         live=True,
     )
-    look_period: float = param(
-        30.0, 's', 'Time between two looks whether a cycle is due', low=0.1, high=3600.0
-    )
     cycle_time_max: float = param(
         1800.0,
         's',
@@ -161,12 +158,12 @@ class ProbeCycle(Component[ProbeCycleConfig]):
         self._outcome, self._accepted, self._failures = '', True, 0
         self._told: tuple[bool, str] | None = None
         self._news = True
-        self._look_at: Stamp | None = None
+        self._tell_at: Stamp | None = None
 
     # What comes in.
 
     def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
-        """Take the plan of the cycle by `use_plan`, and look from its time `now` [ns] on."""
+        """Take the plan of the cycle by `use_plan`."""
         if name != 'use_plan':
             return super().on_request(name, arguments, stamp)
         try:
@@ -174,7 +171,6 @@ class ProbeCycle(Component[ProbeCycleConfig]):
         except ValueError as error:
             return Answer(False, str(error))
         self._touches, self._news = None, True
-        self._look_at = int(arguments.get('now', stamp))
         text = f'{self._plan.count} touches, signature {self._plan.signature}'
         return Answer(True, text, tuple(self._tell(stamp)))
 
@@ -185,6 +181,14 @@ class ProbeCycle(Component[ProbeCycleConfig]):
             self._zero_of = record.signature, record.reference_stamp
             self._failures, self._outcome = record.failures, record.outcome
             self._accepted = record.accepted
+
+    def on_thermal_reference(self, reference: ThermalReference) -> None:
+        """Tell anew what is due: errors are counted from now on."""
+        self._tell_at = reference.stamp
+
+    def on_probe_status(self, status: ProbeStatus) -> None:
+        """Tell anew what is due."""
+        self._tell_at = status.stamp
 
     def on_probe_touch(self, touch: ProbeTouch) -> Iterator[Emission]:
         """Take a touch; at the end of a cycle tell what it means."""
@@ -223,13 +227,17 @@ class ProbeCycle(Component[ProbeCycleConfig]):
 
     @property
     def next_deadline(self) -> int | None:
-        """When to look again whether one is due: what is heard meanwhile waits for that."""
-        return self._look_at
+        """When to tell what is due, or that a cycle was broken off."""
+        times = [self._tell_at]
+        if self._touches is not None:
+            times.append(self._begun + nanoseconds(self._config.cycle_time_max))
+        if self._ended is not None:
+            times.append(self._ended + nanoseconds(self._config.interval_min))
+        return min((time for time in times if time is not None), default=None)
 
     def on_deadline(self, stamp: int) -> Iterable[Emission]:
         """Tell what is due, if that is news, and that a cycle was broken off."""
         config = self._config
-        self._look_at = stamp + nanoseconds(config.look_period)
         begun = self._begun + nanoseconds(config.cycle_time_max)
         if self._touches is not None and stamp >= begun:
             self._fail(stamp, 'the cycle was broken off')
@@ -347,6 +355,7 @@ class ProbeCycle(Component[ProbeCycleConfig]):
 
     def _tell(self, stamp: Stamp) -> Iterator[Emission]:
         """Yield the state, if there is news."""
+        self._tell_at = None
         news = self._due(stamp)
         if not self._news and self._told is not None and news[0] == self._told[0]:
             return

@@ -54,7 +54,7 @@ class ProbeRig(Bench):
     """
 
     def __init__(self, *, plan: ProbePlan | None = None, **changes: Any) -> None:
-        super().__init__(ProbeCycle(ProbeCycleConfig(**{'look_period': 1.0} | changes)))
+        super().__init__(ProbeCycle(ProbeCycleConfig(**changes)))
         self.plan = plan or sphere()
         self.error: Mapping[str, float] = {'Y': 0.0, 'Z': 0.0}
         self.offset = [0.0, 0.0]
@@ -76,18 +76,7 @@ class ProbeRig(Bench):
 
     def ask(self, due: bool, reason: str = 'the band is wide') -> None:
         """Tell what the predictor wants."""
-        record = ProbeStatus(
-            stamp=nanoseconds(self.time),
-            due=due,
-            reason=reason,
-            due_at=0,
-            probed_at=0,
-            axis=('Y', 'Z'),
-            channel=('Y', 'Z'),
-            band=np.ones(2),
-            change=np.ones(2),
-        )
-        self.give('probe_status', record)
+        self.give('probe_status', status(nanoseconds(self.time), due=due, reason=reason))
 
     def tell(self, kind: TouchKind, number: int, position: float = np.nan) -> None:
         """Tell a touch, two seconds later."""
@@ -134,6 +123,21 @@ class ProbeRig(Bench):
     def probes(self) -> list[Any]:
         """Displacements so far."""
         return self.records('displacement')
+
+
+def status(stamp: int, *, due: bool, reason: str = 'the band is wide') -> ProbeStatus:
+    """Return what the predictor wants."""
+    return ProbeStatus(
+        stamp=stamp,
+        due=due,
+        reason=reason,
+        due_at=0,
+        probed_at=0,
+        axis=('Y', 'Z'),
+        channel=('Y', 'Z'),
+        band=np.ones(2),
+        change=np.ones(2),
+    )
 
 
 def zeroed(**changes: Any) -> ProbeRig:

@@ -3,13 +3,12 @@
 """The probing cycle at work."""
 
 from benches.component_bench import applied
-from benches.probe_rig import MICRON, ProbeRig, zeroed
+from benches.probe_rig import MICRON, ProbeRig, status, zeroed
 from fuzzing.targets import CopiedTarget
 
 from fuzzycnc_ros.runtime.enums import TouchKind
 from fuzzycnc_ros.runtime.records import (
     SECOND,
-    ProbeStatus,
     ProbeTouch,
     ThermalReference,
     nanoseconds,
@@ -34,11 +33,7 @@ class ProbeCycleTarget(CopiedTarget):
         if name == 'compensation_applied':
             return applied(stamp / SECOND)
         if name == 'probe_status':
-            rig = zeroed()
-            rig.time = stamp / SECOND
-            rig.ask(due=rng.random() < 0.5)
-            found = rig.component.last(rig.component.STATUS)
-            return ProbeStatus(**{**vars(found), 'stamp': stamp})
+            return status(stamp, due=rng.random() < 0.5)
         number = rng.randrange(10)
         return ProbeTouch(
             stamp=stamp,
