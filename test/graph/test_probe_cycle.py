@@ -10,6 +10,7 @@ import pytest
 
 from fuzzycnc_ros.adapters.probing.probe_file import read_plan
 from fuzzycnc_ros.adapters.probing.programs import BEGIN, END
+from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import LATCHED
 from fuzzycnc_ros.runtime.convert import encode
@@ -26,8 +27,15 @@ def test_results_in_a_file_become_a_displacement(graph, observer, tmp_path):
     probes = observer.records('displacement', Displacement)
     states = observer.records('probe_cycle_state', ProbeCycleState, LATCHED)
     parameters = {'probe_file': str(FILE), 'result_file': str(results)}
-    graph.start('probe_cycle', parameters)
+    recorder = graph.start('recorder', {'output': str(tmp_path / 'bag')})
+    node = graph.start('probe_cycle', parameters)
     observer.until(lambda: states, 'it tells what is due')
+    count = observer.node.count_subscribers
+    wanted = {'probe_touch': 2, 'displacement': 2, 'deadline_fired': 1}
+    observer.until(
+        lambda: all(count(f'/mill/{name}') >= least for name, least in wanted.items()),
+        'the recorder hears all',
+    )
     assert not states[-1].due
     publisher = observer.node.create_publisher(
         message_class(ThermalReference.TYPE), 'thermal_reference', publisher_qos(LATCHED)
@@ -62,3 +70,10 @@ def test_results_in_a_file_become_a_displacement(graph, observer, tmp_path):
     assert probes[1].channel == ('X', 'Y', 'Z', 'Z setter')
     np.testing.assert_allclose(probes[1].position, [0.05, -0.04, -0.12, -0.13])
     assert not states[-1].due
+    observer.settle('probe_cycle', 'recorder')
+    assert node.interrupt() == 0
+    assert recorder.interrupt() == 0
+    report = replay(tmp_path / 'bag', given=['/mill/probe_touch'])
+    assert report.equivalent, [topic for topic in report.topics if not topic.equivalent]
+    compared = {topic.topic: topic.identical for topic in report.topics}
+    assert compared['/mill/displacement'] == 2
