@@ -107,6 +107,11 @@ COMMANDS: Commands = {
         'fuzzycnc_ros.cli.live.operate',
         'Operate a running machine: status, activate, set limits, reference, probe and mark.',
     ),
+    'probe': Later(
+        'Run',
+        'fuzzycnc_ros.cli.live.probe',
+        'Write the program by which a control probes its own thermal error.',
+    ),
     'watch': Later(
         'Run',
         'fuzzycnc_ros.cli.live.watch:watch',

@@ -54,6 +54,7 @@ LONG = {
     'docs/how-to/scaling.md',
     'docs/how-to/security.md',
     'docs/how-to/your-sensors.md',
+    'docs/how-to/your-probe.md',
     'docs/reference/bags.md',
     'docs/reference/machine-file.md',
     'docs/tutorials/first-part.md',

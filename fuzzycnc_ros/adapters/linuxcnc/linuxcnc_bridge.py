@@ -59,6 +59,7 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
         'external offsets, and its read-back. Managed lifecycle.'
     )
     CONTROLLER = 'LinuxCNC'
+    PROBE_OFFSET = True
     CONFIG = LinuxcncBridgeConfig
 
     def __init__(self, config: LinuxcncBridgeConfig | None = None) -> None:
