@@ -9,12 +9,15 @@ Schemas come from the same models.
 
 import difflib
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
+from urllib.parse import SplitResult, urlsplit
 
-from fuzzycnc_ros.bags.yaml_file import compose, value_errors
+from fuzzycnc_ros.bags.yaml_file import YamlReading, number_of, value_errors
 from fuzzycnc_ros.ros.parameters import ParameterError
 
 try:
@@ -79,12 +82,22 @@ class Fields(BaseModel):
         return data
 
 
-class _Scalar:
+def address_of(text: str, schemes: Sequence[str]) -> SplitResult | None:
+    """Return the parts of an address that has one of the schemes, a host and a port; else None."""
+    try:
+        parts = urlsplit(text)
+        complete = bool(parts.hostname) and parts.port is not None
+    except ValueError:
+        return None
+    return parts if complete and parts.scheme in schemes else None
+
+
+class _Scalar(ABC):
     """How a field is read from its node."""
 
+    @abstractmethod
     def read(self, node: Any) -> Any:
         """Return the value."""
-        raise NotImplementedError
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         return core_schema.no_info_before_validator_function(self.read, handler(source))
@@ -207,11 +220,9 @@ def read_file(path: Path, model: type[SomeFields], what: str) -> SomeFields:
         If it cannot be read or is not valid; the text names file, line and field.
     """
     try:
-        root = compose(path, what)
+        root = YamlReading(path, what).root().node
     except ValueError as error:
         raise ParameterError(' '.join(str(error).split())) from error
-    if root is None:
-        raise ParameterError(f'{path}: expected {what} but the file is empty')
     refusals: list[tuple[int, str]] = []
     data = _tree(root, root, (), refusals)
     if not refusals:
@@ -305,21 +316,14 @@ def scalar(node: Any, wanted: str) -> str:
 
 
 def number(node: Any) -> int | float:
-    """Return a number; 20e-6 is one here as in ROS, though not in YAML 1.1."""
-    import yaml
-
+    """Return a number."""
     text = scalar(node, 'a number')
     if _LEADING_ZERO.fullmatch(text):
         raise wrong(
             f'expected a number but {text} would be octal in YAML; leave the leading zeros out'
         )
-    try:
-        value = yaml.SafeLoader('').construct_object(node)
-        small = not isinstance(value, int) or value.bit_length() <= 64
-        if isinstance(value, (int, float)) and not isinstance(value, bool) and small:
+    with suppress(*value_errors()):
+        value = number_of(node)
+        if isinstance(value, float) or (value is not None and value.bit_length() <= 64):
             return value
-        if node.style is None and isinstance(value, str):
-            return float(value)
-    except value_errors():
-        pass
     raise wrong(f'expected a number but found {text!r}')

@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.bags.csv_mapping import (
     LENGTH_UNITS,
-    SPEED_UNITS,
     TEMPERATURE_UNITS,
     CsvMapping,
 )
 from fuzzycnc_ros.bags.csv_table import Table, Times
-from fuzzycnc_ros.bags.csv_time import ISO8601, TIME_UNITS, known_forms
+from fuzzycnc_ros.bags.csv_time import ISO8601, known_forms
 from fuzzycnc_ros.bags.errors import CsvError
 from fuzzycnc_ros.bags.metadata import LATCHED, STREAM
 from fuzzycnc_ros.bags.typestore import ROSBAGS
@@ -45,6 +44,7 @@ from fuzzycnc_ros.core.thermal.run import (
 )
 from fuzzycnc_ros.core.thermal.sensor_limits import SensorLimits
 from fuzzycnc_ros.core.thermal.spacing import block_means, reference_rows, sample_interval
+from fuzzycnc_ros.core.units import SPEEDS, TIMES
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.enums import MachineMode, Status
 from fuzzycnc_ros.runtime.records import (
@@ -270,7 +270,7 @@ def _named_unit_lines(table: Table, mapping: CsvMapping, sensors: Sequence[str])
     """Return which columns name another unit than they are read in."""
     asked = [(name, mapping.temperature_unit, '--temperature-unit') for name in sensors]
     asked += [(item.column, item.unit, '--displacement') for item in mapping.channels]
-    if mapping.time_unit in TIME_UNITS:
+    if mapping.time_unit in TIMES:
         asked.append((mapping.time, mapping.time_unit, '--time-unit'))
     odd: dict[tuple[str, str, str], list[str]] = {}
     for column, unit, option in asked:
@@ -317,9 +317,9 @@ def _time_line(
     pace = odd_pace(recording.time, temperature, recording.displacement)
     if pace is None:
         return []
-    factor = TIME_UNITS[mapping.time_unit]
+    factor = TIMES[mapping.time_unit]
     for unit in ('s', 'min', 'ms', 'h', 'd'):
-        other = pace.time / factor * TIME_UNITS[unit]
+        other = pace.time / factor * TIMES[unit]
         if WARMING_MIN <= other <= WARMING_MAX:
             sure = (
                 f'{pace.agreeing} of {pace.witnesses} sensors and probes agree'
@@ -423,7 +423,7 @@ def _read(
         temperature=temperature,
         displacement=_columns(table, [channel.column for channel in mapping.channels])
         * np.array([channel.scale for channel in mapping.channels]),
-        speed=_columns(table, speed) * SPEED_UNITS[mapping.spindle_speed_unit],
+        speed=_columns(table, speed) * SPEEDS[mapping.spindle_speed_unit],
     )
     return recording, tuple(unread), tuple(unsure)
 

@@ -6,16 +6,15 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
-from math import pi
 from pathlib import Path
 
 from fuzzycnc_ros.bags.csv_table import Table, read_table
-from fuzzycnc_ros.bags.csv_time import ISO8601, TIME_UNITS, strptime_form, zone_of
+from fuzzycnc_ros.bags.csv_time import ISO8601, strptime_form, zone_of
 from fuzzycnc_ros.bags.errors import CsvError
+from fuzzycnc_ros.core.units import LENGTHS, SPEEDS, TIMES
 
-LENGTH_UNITS = {'um': 1e-6, 'mm': 1e-3, 'm': 1.0, 'nm': 1e-9}
+LENGTH_UNITS = {**{unit: LENGTHS[unit] for unit in ('um', 'mm', 'm')}, 'nm': 1e-9}
 TEMPERATURE_UNITS = {'degC': (1.0, 0.0), 'K': (1.0, -273.15), 'degF': (5.0 / 9.0, -160.0 / 9.0)}
-SPEED_UNITS = {'rpm': 2.0 * pi / 60.0, 'rad/s': 1.0}
 AXES = 'XYZABCUVW'
 
 _CHANNEL = re.compile(r'(?P<column>.+)=(?P<sign>[+-]?)(?P<axis>\w+):(?P<unit>\w+)')
@@ -160,9 +159,9 @@ class CsvMapping:
 
     def __post_init__(self) -> None:
         """Refuse what contradicts itself."""
-        _word('time_unit', self.time_unit, {**TIME_UNITS, ISO8601: 1.0})
+        _word('time_unit', self.time_unit, {**TIMES, ISO8601: 1.0})
         _word('temperature_unit', self.temperature_unit, TEMPERATURE_UNITS)
-        _word('spindle_speed_unit', self.spindle_speed_unit, SPEED_UNITS)
+        _word('spindle_speed_unit', self.spindle_speed_unit, SPEEDS)
         if self.time_format is not None:
             try:
                 object.__setattr__(self, 'time_format', strptime_form(self.time_format))

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.bags.csv_time import (
     ISO8601,
-    TIME_UNITS,
     ClockChangeError,
     Zone,
     has_date,
@@ -32,11 +31,13 @@ from fuzzycnc_ros.bags.csv_time import (
     seconds_of,
     zone_of,
 )
-from fuzzycnc_ros.bags.errors import CsvError
+from fuzzycnc_ros.bags.errors import BagError, CsvError
 from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.core.names import repeated_names
+from fuzzycnc_ros.core.remedies import options_as
 from fuzzycnc_ros.core.thermal.run import JITTER_MAX, SAMPLES_MIN
 from fuzzycnc_ros.core.thermal.spacing import sample_interval
+from fuzzycnc_ros.core.units import TIMES
 
 _ENCODINGS = ('cp1252', 'latin-1', 'utf-16')
 """What programs write that do not write UTF-8, Excel on Windows first."""
@@ -231,7 +232,7 @@ class Table:
         midnights: list[int] = []
         used: Zone | None = None
         if not form:
-            seconds = self.column(name) * TIME_UNITS[unit]
+            seconds = self.column(name) * TIMES[unit]
             lost = np.flatnonzero(~np.isfinite(seconds)).tolist()
         else:
             lost = [row for row, cell in enumerate(cells) if _is_empty(cell)]
@@ -590,10 +591,11 @@ def _read_text(path: Path, encoding: str) -> str:
             )
         place = data.find(b'\0')
         if place >= 0:
-            line = data.count(b'\n', 0, place) + 1
+            line, number = data.count(b'\n', 0, place) + 1, data.count(0)
+            found = 'a zero byte' if number == 1 else f'{number} zero bytes, the first one'
             raise CsvError(
-                f'{path}, line {line}: expected text but found {data.count(0)} zero bytes, the '
-                f'first one as byte {place}, as a torn write leaves them; delete what is damaged'
+                f'{path}, line {line}: expected text but found {found} as byte {place}, as a torn '
+                'write leaves them; delete what is damaged'
             )
     if not codec.startswith('utf') and not data.isascii() and _is_utf8(data):
         raise CsvError(
@@ -627,3 +629,32 @@ def _is_utf8(data: bytes) -> bool:
     except UnicodeDecodeError:
         return False
     return True
+
+
+def read_sensor_table(
+    path: Path, time_column: str
+) -> tuple[tuple[str, ...], NDArray[np.float64], NDArray[np.float64], str]:
+    """Read a table of a time column [s], or of dates, and one column per sensor [degC].
+
+    Returns
+    -------
+    tuple
+        Names of the sensors, times [s], temperatures [degC], shape (n, k), and the zone that dates
+        without one were read in, empty if there are none.
+
+    Raises
+    ------
+    BagError
+        If it cannot be read; whatever else a table may need is an option of the command that makes
+        a bag of it.
+    """
+    with options_as('`fuzzycnc import-csv --{}`'.format):
+        table = read_table(path)
+        table.require([time_column])
+        sensors = tuple(name for name in table.header if name != time_column)
+        if not sensors:
+            raise BagError(f'{path}: expected a column for each sensor beside {time_column!r}')
+        times = table.time(time_column, 's')
+        start = times.date or 0.0 if times.form else float(table.column(time_column)[0])
+        values = np.stack([table.column(name) for name in sensors], axis=1)
+    return sensors, start + times.seconds, values, times.zone.name if times.zone else ''

@@ -18,8 +18,6 @@ from fuzzycnc_ros.bags.errors import CsvError
 DAY = 86400.0
 """Length of a day [s]."""
 
-TIME_UNITS = {'s': 1.0, 'ms': 1e-3, 'min': 60.0, 'h': 3600.0, 'd': DAY}
-
 ISO8601 = 'iso8601'
 
 STEP_MAX = 3.0

@@ -41,6 +41,7 @@ _HEAD = b'\x00\x01'  # CDR, little endian
 _LENGTH = struct.Struct('<I')
 _STAMP = struct.Struct('<iI')
 _DISPLACEMENT = 'fuzzycnc_msgs/msg/Displacement'
+_MACHINE_STATE = 'fuzzycnc_msgs/msg/MachineState'
 _TIME, _HEADER = 'builtin_interfaces/msg/Time', 'std_msgs/msg/Header'
 _TIME_FIELDS = [('sec', (BASE, ('int32', 0))), ('nanosec', (BASE, ('uint32', 0)))]
 _HEADER_FIELDS = [('stamp', (NAME, _TIME)), ('frame_id', (BASE, ('string', 0)))]
@@ -62,7 +63,17 @@ def _with_position(old: Any) -> Any:
     return message_type(_DISPLACEMENT)(**vars(old), position=np.full(len(old.axis), np.nan))
 
 
-UPGRADERS: Upgraders = {(_DISPLACEMENT, 1): _with_position}
+def _with_motion(old: Any) -> Any:
+    """Return a machine state of message set 1, which knew no motion of axes and no coolant."""
+    unknown = np.full(len(old.axis), np.nan)
+    added = {'coolant': 0, 'spindle_load': np.nan, 'travel': unknown, 'square_speed': unknown}
+    return message_type(_MACHINE_STATE)(**vars(old), **added)
+
+
+UPGRADERS: Upgraders = {
+    (_DISPLACEMENT, 1): _with_position,
+    (_MACHINE_STATE, 1): _with_motion,
+}
 """The upgraders of this version."""
 
 

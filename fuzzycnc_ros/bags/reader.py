@@ -406,12 +406,18 @@ class BagReader:
                 )
 
     def _contradictions(self, metadata: Metadata) -> list[str]:
-        """Return where totals and times of `metadata.yaml` are others than those of the files.
+        """Return where storage, types, totals and times of `metadata.yaml` are not the files' own.
 
         Nothing is lost by them, so that they are told and refused by nobody.
         """
         there = [sum((contents.promised or {}).values()) for contents in self._contents]
-        compared: list[tuple[str, str]] = []
+        kinds = {'mcap' if isinstance(file, McapFile) else 'sqlite3' for file in self._files}
+        compared = [(f'{metadata.storage} as storage', kind) for kind in sorted(kinds)]
+        compared += [
+            (f'{topic.type} on {topic.name}', self.connections[topic.name].type)
+            for topic in metadata.topics
+            if topic.name in self.connections
+        ]
         if self._counted and metadata.stated is not None:
             compared.append((f'{metadata.stated} messages in all', f'{sum(there)}'))
         if self.stop and metadata.stated:

@@ -11,8 +11,9 @@ import typer
 
 from fuzzycnc_ros.cli.completion import Complete, one_of, word_or_file
 from fuzzycnc_ros.cli.console import words
-from fuzzycnc_ros.cli.quantities import DECLARED, TIMES, in_declared_unit, number_in
+from fuzzycnc_ros.cli.quantities import in_declared_unit, number_in
 from fuzzycnc_ros.core.config import Config
+from fuzzycnc_ros.core.units import DECLARED, TIMES
 
 ALL = 'all'
 """Word for every model."""

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.core.machine.machine_data import MachineData
+from fuzzycnc_ros.core.units import written
 from fuzzycnc_ros.machine_file.reader import FAULTS
-from fuzzycnc_ros.machine_file.units import written
 
 
 class MachineValue(NamedTuple):

@@ -15,8 +15,8 @@ from typing import Any
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.core.machine.machine_data import LINEAR_AXES, PLANTS, AxisLimits, PathLimits
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.core.units import NUMBER, unit_names
 from fuzzycnc_ros.machine_file.reader import FAULTS
-from fuzzycnc_ros.machine_file.units import NUMBER, unit_names
 
 
 def machine_schema() -> dict[str, Any]:

@@ -36,7 +36,7 @@ from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.typestore import deserialize, serialize
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.runtime.convert import decode
-from fuzzycnc_ros.runtime.records import Displacement
+from fuzzycnc_ros.runtime.records import Displacement, MachineState
 
 SECOND = 10**9
 PY = 'rosbag2_py/test/resources'
@@ -182,9 +182,15 @@ def test_metadata_that_promises_more_is_refused(small_bag):
             '      nanoseconds: 6',
             's as the duration of bag_0.mcap',
         ),
+        ('storage_identifier: mcap', 'storage_identifier: sqlite3', 'says sqlite3 as storage but'),
+        (
+            'type: fuzzycnc_msgs/msg/Temperatures',
+            'type: std_msgs/msg/String',
+            'std_msgs/msg/String on /mill/temperatures but .* hold fuzzycnc_msgs/msg/Temperatures',
+        ),
     ],
 )
-def test_metadata_whose_totals_and_times_are_wrong_is_told(small_bag, fuzzycnc, old, new, told):
+def test_metadata_whose_facts_are_wrong_is_told(small_bag, fuzzycnc, old, new, told):
     file = small_bag / 'metadata.yaml'
     text = file.read_text(encoding='utf-8')
     with BagReader(small_bag) as reader:
@@ -545,6 +551,12 @@ def test_a_displacement_of_set_1_was_measured_at_the_reference_position(tmp_path
     again = [decode(Displacement, deserialize(raw, Displacement.TYPE)) for raw in played]
     assert [item.stamp for item in again] == [item.stamp for item in found]
     assert all(np.isnan(item.position).all() for item in again)
+    with BagReader(bag) as reader:
+        states = [
+            decode(MachineState, m.message) for m in reader.messages(['/mill/machine_state'])
+        ]
+    assert states
+    assert all(state.coolant == 0 and np.isnan(state.travel).all() for state in states)
 
 
 def test_a_displacement_that_no_set_has_had_is_refused(small_bag, tmp_path):

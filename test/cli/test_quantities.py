@@ -6,15 +6,8 @@ import pytest
 import typer
 
 from fuzzycnc_ros.cli.options import node_parameters
-from fuzzycnc_ros.cli.quantities import (
-    DECLARED,
-    LENGTHS,
-    TIMES,
-    in_declared_unit,
-    number_in,
-    quantity,
-    with_their_units,
-)
+from fuzzycnc_ros.cli.quantities import in_declared_unit, number_in, quantity, with_their_units
+from fuzzycnc_ros.core.units import DECLARED, LENGTHS, TIMES
 from fuzzycnc_ros.registry import COMPONENTS
 
 

@@ -9,15 +9,14 @@ from dataclasses import replace
 import pytest
 
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
-from fuzzycnc_ros.core.servo.ballscrew import BALLSCREW
+from fuzzycnc_ros.core.servo.built_in import BUILT_IN_AXES
+from fuzzycnc_ros.core.units import DECLARED, si_value, written
 from fuzzycnc_ros.machine_file.doubts import machine_doubts
 from fuzzycnc_ros.machine_file.feeds import scheduler_parameters, simulated_loop
 from fuzzycnc_ros.machine_file.listing import machine_values
 from fuzzycnc_ros.machine_file.parameters import node_parameters, parameter_text
 from fuzzycnc_ros.machine_file.reader import BUILT_IN, is_machine_file, read_machine_file
-from fuzzycnc_ros.machine_file.units import UNITS, si_value, written
 from fuzzycnc_ros.machine_file.writer import machine_text
 from fuzzycnc_ros.simulation.servo.axes import simulated_axis
 
@@ -57,8 +56,9 @@ def test_what_is_written_is_read_again(machine, name):
 
 
 def test_built_in_machines_are_the_simulated_ones():
-    assert read_machine_file('lathe').axes['X'].plant == LatheAxisConfig()
-    assert read_machine_file('ballscrew').axes['X'] == BALLSCREW
+    lathe = read_machine_file('lathe').axes['X']
+    assert replace(lathe, settings={}) == BUILT_IN_AXES['lathe']
+    assert read_machine_file('ballscrew').axes['X'] == BUILT_IN_AXES['ballscrew']
     mill = read_machine_file('mill')
     assert simulated_loop(mill) == ContouringConfig()
     default = FeedrateSchedulerConfig()
@@ -75,7 +75,7 @@ def test_units_and_plain_numbers_mean_the_same(machine):
     assert one.source['axes.Y.limits.load'] == 'line 1'
 
 
-@pytest.mark.parametrize('unit', sorted(UNITS))
+@pytest.mark.parametrize('unit', sorted(DECLARED))
 def test_written_numbers_are_read_as_they_were(unit):
     for value in (0.0, 1.0, -2.5, 3.3e-7, 123456.789):
         assert si_value(written(value, unit), unit) == pytest.approx(value, rel=1e-9)

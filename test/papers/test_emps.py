@@ -15,7 +15,7 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
     make_controllers,
 )
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
-from fuzzycnc_ros.core.servo.ballscrew import ballscrew_controller
+from fuzzycnc_ros.core.servo.built_in import built_in_controller
 from fuzzycnc_ros.core.servo.observer import ObserverDesign, ObserverNoise
 from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
 
@@ -62,7 +62,7 @@ def voltage_off(recording):
 
 def ruled(**settings):
     """Return the production controller of the ball screw, with other settings."""
-    return ballscrew_controller('variable_universe', settings)
+    return built_in_controller('ballscrew', 'variable_universe', settings)
 
 
 def from_rest(reference):

@@ -17,7 +17,7 @@ from fuzzycnc_ros.adapters.opcua.file_fields import PlaceFields, ServerFields, p
 from fuzzycnc_ros.adapters.opcua.offset_lines import Travel
 from fuzzycnc_ros.adapters.opcua.session import Address, node_id_trouble
 from fuzzycnc_ros.adapters.opcua.variables import ControlVariable, Kind
-from fuzzycnc_ros.adapters.readings.device_file import SPEED_UNITS, Scale, SpeedUnit
+from fuzzycnc_ros.adapters.readings.device_fields import Scale, SpeedUnit
 from fuzzycnc_ros.adapters.yaml_model import (
     Field,
     Fields,
@@ -29,9 +29,9 @@ from fuzzycnc_ros.adapters.yaml_model import (
     wrong,
 )
 from fuzzycnc_ros.core.inputs.offsets import AXES
+from fuzzycnc_ros.core.units import LENGTHS, SPEEDS
 from fuzzycnc_ros.ros.parameters import ParameterError
 
-LENGTHS = {'um': 1e-6, 'mm': 1e-3, 'm': 1.0, 'inch': 25.4e-3}
 TRAVEL_MAX = 1000.0
 """Largest position [m]."""
 
@@ -96,6 +96,28 @@ class _State(Fields):
     spindle_speed: Annotated[Annotated[_Speed, Shorthand('node')] | None, _READ] = Field(
         None, description='Spindle speed'
     )
+    spindle_load: Annotated[_Scaled | None, _READ] = Field(
+        None, description='Load of the spindle drive; 1 is its rated one'
+    )
+    coolant: _Switch = Field(None, description='Coolant is on')
+
+
+class _Probe(Fields):
+    due: Annotated[_Named | None, _Role(Kind.SWITCH, written=True)] = Field(
+        None, description='A probing cycle is due: a program may call it'
+    )
+    code: Annotated[_Scaled | None, _READ] = Field(
+        None, description='Code that the cycle tells last, after its number'
+    )
+    value: Annotated[_Scaled | None, _READ] = Field(
+        None, description='Number that the cycle tells, a coordinate in mm'
+    )
+
+    @model_validator(mode='after')
+    def _check_pair(self) -> '_Probe':
+        if (self.code is None) != (self.value is None):
+            raise wrong('expected code and value, or none of them')
+        return self
 
 
 class _Axis(Fields):
@@ -135,12 +157,13 @@ class _Axis(Fields):
 class ControlFields(ServerFields):
     """Where a control is, and which of its variables take part in compensation."""
 
-    unit: Annotated[str, Word(tuple(LENGTHS))] = Field(description='Unit of offsets')
-    position_unit: Annotated[str, Word(tuple(LENGTHS))] = Field(
+    unit: Annotated[str, Word(('um', 'mm', 'm', 'inch'))] = Field(description='Unit of offsets')
+    position_unit: Annotated[str, Word(('um', 'mm', 'm', 'inch'))] = Field(
         'mm', description='Unit of positions'
     )
     hand_shake: _HandShake = Field(description='Variables by which sets are handed over')
     state: _State = Field(description='Variables with the state of the machine')
+    probe: _Probe | None = Field(None, description='Variables of a probing cycle, if there is one')
     axes: dict[str, _Axis] = Field(
         {},
         description='Axes that take offsets, by their letters',
@@ -178,6 +201,8 @@ class ControlFields(ServerFields):
         units['position_unit'] = LENGTHS[self.position_unit]
         found = {}
         sections: list[tuple[str, Fields]] = [('', self.hand_shake), ('', self.state)]
+        if self.probe is not None:
+            sections.append(('probe_', self.probe))
         for prefix, section in [*sections, *((f'{a}.', axis) for a, axis in self.axes.items())]:
             for name, item in type(section).model_fields.items():
                 role = next((m for m in item.metadata if isinstance(m, _Role)), None)
@@ -186,7 +211,7 @@ class ControlFields(ServerFields):
                     continue
                 scale = units[role.unit] * getattr(place, 'scale', 1.0)
                 if isinstance(place, _Speed):
-                    scale *= SPEED_UNITS[place.unit]
+                    scale *= SPEEDS[place.unit]
                 found[prefix + name] = ControlVariable(
                     node=place.node,
                     path=place.path,

@@ -29,7 +29,8 @@ from fuzzycnc_ros.cli.options import (
     choice,
     given,
 )
-from fuzzycnc_ros.cli.quantities import FORCES, LENGTHS, TIMES, number_in, quantity
+from fuzzycnc_ros.cli.quantities import number_in, quantity
+from fuzzycnc_ros.core.units import FORCES, LENGTHS, TIMES
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.identify.axis_fit import AxisRecording

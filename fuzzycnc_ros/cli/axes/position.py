@@ -39,7 +39,8 @@ from fuzzycnc_ros.cli.options import (
     Report,
     given,
 )
-from fuzzycnc_ros.cli.quantities import LENGTHS, SHARES, TIMES, quantity
+from fuzzycnc_ros.cli.quantities import quantity
+from fuzzycnc_ros.core.units import LENGTHS, SHARES, TIMES
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.machine.machine_data import AxisData, PlantConfig

@@ -46,7 +46,7 @@ from fuzzycnc_ros.cli.options import (
     given,
     names_of,
 )
-from fuzzycnc_ros.cli.quantities import LENGTHS
+from fuzzycnc_ros.core.units import LENGTHS
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.servo.rule_table import RuleTable
@@ -159,7 +159,7 @@ def compare(
 
 
 def tune(
-    out: Out,
+    out: Annotated[Path, typer.Option(metavar='FILE', help='Machine file to write.')],
     axis: Axis = '',
     machine_file: MachineFile = None,
     generations: Annotated[

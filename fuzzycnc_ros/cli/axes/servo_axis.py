@@ -116,21 +116,16 @@ def make_controller(
     ValueError
         If the settings are those of another axis, or leave a loop that does not settle.
     """
-    from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
-    from fuzzycnc_ros.core.servo import axis_control
-    from fuzzycnc_ros.core.servo.ballscrew import ballscrew_controller
-
-    model = LatheAxisConfig(direction=direction).linear()
     if settings is None:
-        if axis == 'ballscrew':
-            return ballscrew_controller(name, direction=direction)
-        return axis_control.make_controller(name, model)
+        from fuzzycnc_ros.core.servo.built_in import built_in_controller
+
+        return built_in_controller(axis, name, direction=direction)
     if settings.axis not in ('', axis):
         raise ValueError(
             f'{settings.path}: expected settings for the {axis} axis but found those for the '
             f'{settings.axis} axis'
         )
-    controller = settings.controller(name, axis, model)
+    controller = settings.controller(name, axis)
     if not unstable:
         settings.check(controller)
     return controller

@@ -5,14 +5,18 @@
 import re
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any, Optional
+from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
 from fuzzycnc_ros.cli.completion import one_of
 from fuzzycnc_ros.cli.console import JsonFile, check_folder, progress_bar, say, words, write_json
 from fuzzycnc_ros.cli.options import OptionalPath, SensorLimits, given
-from fuzzycnc_ros.cli.quantities import TIMES, number_in
+from fuzzycnc_ros.cli.quantities import number_in
+from fuzzycnc_ros.core.units import TIMES
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.bags.yaml_file import Entry, YamlReading
 
 OptionalText = Optional[str]  # noqa: UP045 - typer 0.9 does not read the newer form
 OptionalNumber = Optional[float]  # noqa: UP045
@@ -258,44 +262,35 @@ def _read_mapping(path: Path, known: list[str]) -> dict[str, Any]:
     ValueError
         If it is no mapping of the known settings.
     """
-    from fuzzycnc_ros.bags.yaml_file import compose, construct
+    from fuzzycnc_ros.bags.yaml_file import YamlReading
 
-    settings = construct(path, compose(path, 'a mapping of columns'))
-    if not isinstance(settings, dict):
-        raise ValueError(f'{path}: expected settings such as `time: t` but found {settings!r}')
-    unknown = [str(key) for key in settings if key not in known]
-    if unknown:
-        raise ValueError(
-            f'{path}: unknown setting {", ".join(unknown)}; expected {", ".join(known)}'
-        )
-    checked = {key: _setting(path, key, value) for key, value in settings.items()}
-    return checked
+    reading = YamlReading(path, 'a mapping of columns', noun='setting')
+    settings = reading.top('settings such as `time: t`')
+    reading.known(settings, known, '', f'expected {", ".join(known)}')
+    return {key: _setting(reading, key, entry) for key, entry in settings.items()}
 
 
-def _setting(path: Path, key: str, value: Any) -> Any:
+def _setting(reading: 'YamlReading', key: str, entry: 'Entry') -> Any:
     """Return a setting in the form that `CsvMapping` takes; YAML types it by its looks."""
+    if key == 'rename':
+        pairs = reading.mapping(entry, key, 'pairs such as column: name')
+        return {column: str(reading.value(name)) for column, name in pairs.items()}
+    if key in ('resample', 'epoch'):
+        return reading.number(entry, key, 's')
+    value = reading.value(entry)
     if key in ('temperatures', 'displacements', 'sensor_limits'):
-        if not isinstance(value, list):
-            value = [value]
-        return [str(item) for item in value]
+        return [str(item) for item in (value if isinstance(value, list) else [value])]
+    wanted = ''
     if key == 'rows':
         if isinstance(value, str) and re.fullmatch(r'\d{1,9}:\d{1,9}', value):
             return _row_range(value)
         if isinstance(value, list) and [type(item) for item in value] == [int, int]:
             return tuple(value)
-        raise ValueError(f'{path}: rows: expected [first, last] or FIRST:LAST but found {value!r}')
-    if key == 'rename':
-        if not isinstance(value, dict):
-            raise ValueError(f'{path}: rename: expected column: name but found {value!r}')
-        return {str(column): str(name) for column, name in value.items()}
-    if key in ('resample', 'epoch'):
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise ValueError(f'{path}: {key}: expected a number but found {value!r}')
-        if not abs(value) < 1e300:
-            raise ValueError(f'{path}: {key}: expected a finite number but found {value!r:.40}')
-        return float(value)
-    if key in ('zero', 'header'):
-        if not isinstance(value, bool):
-            raise ValueError(f'{path}: {key}: expected true or false but found {value!r}')
-        return value
+        wanted = '[first, last] or FIRST:LAST'
+    elif key in ('zero', 'header'):
+        if isinstance(value, bool):
+            return value
+        wanted = 'true or false'
+    if wanted:
+        raise reading.wrong(entry.line, key, f'expected {wanted} but found {value!r}')
     return str(value)

@@ -7,7 +7,8 @@ from typing import Annotated, Any
 from fuzzycnc_ros.bags.shipping import check_no_secret
 from fuzzycnc_ros.cli.console import check_at_least
 from fuzzycnc_ros.cli.options import OptionalNumber, OptionalText, given
-from fuzzycnc_ros.cli.quantities import SIZES, TIMES, number_in
+from fuzzycnc_ros.cli.quantities import SIZES, number_in
+from fuzzycnc_ros.core.units import TIMES
 
 SplitSize = Annotated[
     OptionalNumber,

@@ -23,7 +23,8 @@ from fuzzycnc_ros.cli.programs.program_files import (
     open_program,
     program_lines,
 )
-from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
+from fuzzycnc_ros.cli.quantities import quantity
+from fuzzycnc_ros.core.units import LENGTHS
 from fuzzycnc_ros.studies.number_table import table_cells
 
 if TYPE_CHECKING:

@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from fuzzycnc_ros.cli.foam.compensate import sheet_size
-from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
+from fuzzycnc_ros.cli.quantities import quantity
 from fuzzycnc_ros.core.deformation.samples import RecordedPath
 from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial
+from fuzzycnc_ros.core.units import LENGTHS
 from fuzzycnc_ros.studies.number_table import read_numbers
 from fuzzycnc_ros.studies.soft.foam_records import Recordings, recorded_run
 

@@ -13,8 +13,9 @@ import typer
 from fuzzycnc_ros.cli.completion import live_settings, managed_nodes, one_of
 from fuzzycnc_ros.cli.console import JsonFile, check_ros, say, show, words, write_json
 from fuzzycnc_ros.cli.options import node_parameters
-from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
+from fuzzycnc_ros.cli.quantities import quantity
 from fuzzycnc_ros.core.names import visible
+from fuzzycnc_ros.core.units import LENGTHS
 from fuzzycnc_ros.ros.bring_up import machine_name
 from fuzzycnc_ros.ros.presence import GraphError
 

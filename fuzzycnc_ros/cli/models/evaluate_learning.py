@@ -10,7 +10,8 @@ import typer
 from fuzzycnc_ros.bags.finding import find_bags
 from fuzzycnc_ros.cli.console import progress_bar, remark, say, show, write_json, write_report
 from fuzzycnc_ros.cli.models.many_bags import runs_of, say_bad
-from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
+from fuzzycnc_ros.cli.quantities import quantity
+from fuzzycnc_ros.core.units import LENGTHS
 
 
 def evaluate_from_nothing(

@@ -35,7 +35,8 @@ from fuzzycnc_ros.cli.programs.program_files import (
     program_lines,
 )
 from fuzzycnc_ros.cli.programs.scheduling_machine import Machine, SchedulingMachine, read_machine
-from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
+from fuzzycnc_ros.cli.quantities import quantity
+from fuzzycnc_ros.core.units import LENGTHS
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.gcode.blocks import Program

@@ -21,7 +21,8 @@ from fuzzycnc_ros.cli.console import (
 )
 from fuzzycnc_ros.cli.options import ALL, OptionalWhole, Report, given, names_of
 from fuzzycnc_ros.cli.programs.scheduling_machine import Machine, read_machine
-from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
+from fuzzycnc_ros.cli.quantities import quantity
+from fuzzycnc_ros.core.units import LENGTHS
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.programs.scheduling_machine import SchedulingMachine

@@ -34,7 +34,8 @@ from fuzzycnc_ros.cli.programs.program_files import (
     subroutine_files,
 )
 from fuzzycnc_ros.cli.programs.scheduling_machine import Machine, SchedulingMachine, read_machine
-from fuzzycnc_ros.cli.quantities import FEEDS, LENGTHS, SHARES, quantity
+from fuzzycnc_ros.cli.quantities import quantity
+from fuzzycnc_ros.core.units import FEEDS, LENGTHS, SHARES
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Program

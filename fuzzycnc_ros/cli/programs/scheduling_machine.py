@@ -4,17 +4,16 @@
 
 from __future__ import annotations
 
-import difflib
-import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 from fuzzycnc_ros.cli.console import say
 from fuzzycnc_ros.cli.options import OptionalText, given
 
 if TYPE_CHECKING:
+    from fuzzycnc_ros.bags.yaml_file import Entry, YamlReading
     from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
     from fuzzycnc_ros.core.config import Config
     from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
@@ -66,14 +65,6 @@ class SchedulingMachine:
             )
 
 
-@dataclass
-class _Section:
-    """Parameters of a node, and in which line each of them stands."""
-
-    value: dict[str, Any] = field(default_factory=dict)
-    line: dict[str, int] = field(default_factory=dict)
-
-
 def read_machine(file: str | None) -> SchedulingMachine:
     """Read a machine file or a ROS parameter file; without one, return the defaults.
 
@@ -105,101 +96,58 @@ def _of_machine_file(file: str) -> SchedulingMachine:
 
 def _of_parameter_file(path: Path | None) -> SchedulingMachine:
     """Read a ROS parameter file, as the nodes do."""
+    from fuzzycnc_ros.bags.yaml_file import YamlReading
     from fuzzycnc_ros.components.machine.simulated_machine_config import (
         SimulatedMachineConfig,
         contouring_config,
     )
     from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
-    from fuzzycnc_ros.runtime.host import HostConfig
 
-    found = _sections(path) if path is not None else {}
-    scheduler, simulated = (found.get(node, _Section()) for node in _NODES)
-    nodes = _names(HostConfig) | {'use_sim_time'}
-    machine = _made(SimulatedMachineConfig, simulated, nodes, path)
+    reading = YamlReading(
+        path or Path(), f'a ROS parameter file with sections such as {_NODES[0]}', noun='parameter'
+    )
+    found = _sections(reading) if path is not None else {}
+    scheduler, simulated = (found.get(node, {}) for node in _NODES)
+    machine = _made(reading, SimulatedMachineConfig, simulated)
     try:
         contouring = contouring_config(machine)
     except ValueError as error:
         raise ValueError(f'{path}: {error}') from error
-    settings = _made(FeedrateSchedulerConfig, scheduler, nodes, path)
-    return SchedulingMachine(settings, contouring, 'machine_constant' in scheduler.value)
+    settings = _made(reading, FeedrateSchedulerConfig, scheduler)
+    return SchedulingMachine(settings, contouring, 'machine_constant' in scheduler)
 
 
-def _names(config: type[Config]) -> set[str]:
-    return {item.name for item in fields(config)}
-
-
-def _sections(path: Path) -> dict[str, _Section]:
+def _sections(reading: YamlReading) -> dict[str, dict[str, Entry]]:
     """Return the parameters of both nodes."""
-    from fuzzycnc_ros.bags.yaml_file import compose
-
-    root = compose(path, 'a ROS parameter file of the machine')
-    found: dict[str, _Section] = {}
-    for name, _, section in _items(path, root, 'sections such as feedrate_scheduler'):
+    found: dict[str, dict[str, Entry]] = {}
+    for name, section in reading.pairs(reading.root(), '', f'sections such as {_NODES[0]}'):
         node = name.rpartition('/')[2]
         if node not in _NODES:
             continue
-        for key, line, parameters in _items(path, section, 'ros__parameters'):
+        for key, parameters in reading.pairs(section, name):
             if key != 'ros__parameters':
-                raise ValueError(
-                    f'{path}: line {line}: expected ros__parameters in the section {name} but '
-                    f'found {key}'
+                raise reading.wrong(
+                    parameters.line, name, f'expected ros__parameters but found {key}'
                 )
-            target = found.setdefault(node, _Section())
-            for parameter, place, value in _items(path, parameters, 'parameters'):
-                target.value[parameter] = _value(path, value)
-                target.line[parameter] = place
+            # As in ROS, of what stands there twice the last counts.
+            found.setdefault(node, {}).update(reading.pairs(parameters, f'{name}.{key}'))
     if not found:
         raise ValueError(
-            f'{path}: expected a section feedrate_scheduler or simulated_machine, as in '
+            f'{reading.path}: expected a section feedrate_scheduler or simulated_machine, as in '
             'params/feedrate_scheduler.yaml, but found none'
         )
     return found
 
 
-def _items(path: Path, node: Any, wanted: str) -> list[tuple[str, int, Any]]:
-    """Return names, lines and nodes of a mapping."""
-    import yaml
-
-    if not isinstance(node, yaml.MappingNode):
-        place = '' if node is None else f' line {node.start_mark.line + 1}:'
-        raise ValueError(f'{path}:{place} expected {wanted} but found no mapping')
-    return [(str(key.value), key.start_mark.line + 1, value) for key, value in node.value]
-
-
-def _value(path: Path, node: Any) -> Any:
-    """Return a value; 20e-6 is a number here as in ROS, though not in YAML 1.1."""
-    import yaml
-
-    from fuzzycnc_ros.bags.yaml_file import construct
-
-    if isinstance(node, yaml.SequenceNode):
-        return [_value(path, item) for item in node.value]
-    value = construct(path, node)
-    if isinstance(value, str) and node.style is None:
-        try:
-            return float(value)
-        except ValueError:
-            return value
-    return value
-
-
 def _made(
-    kind: type[SomeConfig], section: _Section, others: set[str], path: Path | None
+    reading: YamlReading, kind: type[SomeConfig], section: Mapping[str, Entry]
 ) -> SomeConfig:
-    """Return the configuration of a section; `others` are parameters for somebody else."""
-    known = _names(kind)
-    for name, line in section.line.items():
-        if name not in known | others:
-            near = difflib.get_close_matches(name, known | others, 1)
-            meant = f'; did you mean {near[0]}?' if near else '; see params/*.yaml for all of them'
-            raise ValueError(f'{path}: line {line}: unknown parameter {name}{meant}')
-    try:
-        return kind(**{name: value for name, value in section.value.items() if name in known})
-    except ValueError as error:
-        raise ValueError(f'{path}:{_place(section.line, str(error))} {error}') from error
+    """Return the configuration of a section; parameters of every node are for somebody else."""
+    from fuzzycnc_ros.runtime.host import HostConfig
 
-
-def _place(lines: Mapping[str, int], message: str) -> str:
-    """Return the line of the first parameter that a message names."""
-    named = [lines[word] for word in re.findall(r'\w+', message) if word in lines]
-    return f' line {named[0]}:' if named else ''
+    own, others = ({item.name for item in fields(one)} for one in (kind, HostConfig))
+    reading.known(
+        section, own | others | {'use_sim_time'}, '', 'see params/*.yaml for all of them'
+    )
+    mine = {name: entry for name, entry in section.items() if name in own}
+    return reading.config(kind, mine, '', units=False)

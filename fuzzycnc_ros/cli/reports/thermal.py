@@ -20,7 +20,8 @@ from fuzzycnc_ros.cli.console import (
     write_whole,
 )
 from fuzzycnc_ros.cli.options import OptionalPath, OptionalText, given
-from fuzzycnc_ros.cli.quantities import LENGTHS, TIMES, number_in, quantity
+from fuzzycnc_ros.cli.quantities import number_in, quantity
+from fuzzycnc_ros.core.units import LENGTHS, TIMES
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.studies.thermal_test.phases import Phase

@@ -19,7 +19,8 @@ from fuzzycnc_ros.adapters.yaml_model import (
     scalar,
     wrong,
 )
-from fuzzycnc_ros.cli.quantities import LENGTHS, quantity
+from fuzzycnc_ros.cli.quantities import quantity
+from fuzzycnc_ros.core.units import LENGTHS
 from fuzzycnc_ros.studies.thermal_test.set_up import PROBES, TestSetUp
 
 

@@ -43,6 +43,7 @@ from fuzzycnc_ros.runtime.records import (
     MachineState,
     PredictorState,
     ProbeEvidence,
+    ProbeStatus,
     Record,
     SensorSelection,
     SpindleSpeed,
@@ -267,6 +268,7 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
         Output('predictor_state', PredictorState, LATCHED, persistent=True),
         Output('thermal_posterior', ThermalPosterior, LATCHED, persistent=True),
         Output('probe_evidence', ProbeEvidence, LATCHED, persistent=True),
+        Output('probe_status', ProbeStatus, LATCHED),
     )
 
     def __init__(self, config: ThermalPredictorConfig | None = None) -> None:
@@ -440,6 +442,9 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
             learnt = self._swap.in_use.learnt(sample.stamp, self.frame('machine'))
             if learnt is not None:
                 yield from self._learnt(learnt)
+            status = self._swap.in_use.learning.status(sample.stamp, self.frame('machine'))
+            if status is not None:
+                yield Emission('probe_status', status)
 
     def _begin_with_nothing(self) -> None:
         """Begin to learn all of the error, once sensors and sampling interval are known."""

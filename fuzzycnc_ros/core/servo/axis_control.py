@@ -76,10 +76,14 @@ Of twelve axes with two masses, drawn at random (40 to 300 Hz, damping 3 to 10 %
 """
 
 
+Options = dict[str, Any]
+
+
 def make_controller(
     name: str,
     axis: LinearAxis,
-    params: VariableUniverseParams | None = None,
+    settings: Mapping[str, float] | None = None,
+    rules: RuleTable | None = None,
     **options: Any,
 ) -> AxisController:
     """Return the controller of a name, with the numbers that were found on the lathe axis.
@@ -90,11 +94,12 @@ def make_controller(
         Of `CONTROLLERS`.
     axis : LinearAxis
         Nominal model of the axis.
-    params : VariableUniverseParams, optional
-        Universes and rules instead of the controller's own.
+    settings : mapping of str to float, optional
+        Of `UNIVERSES`, or `DISTURBANCE`, instead of those numbers.
+    rules : RuleTable, optional
+        Rules instead of the published ones.
     **options
-        What the controller takes beside: `duty_max`, `duty_slew` and `limits` all do, `noise`
-        those with an observer.
+        What the controller takes beside: `duty_max`, `duty_slew` and `limits` all do.
 
     Raises
     ------
@@ -113,14 +118,16 @@ def make_controller(
         raise ValueError(
             f'controller: expected one of {", ".join(CONTROLLERS)} but found {name!r}'
         )
-    if params is None:
-        return CONTROLLERS[name].make(axis, **options)
-    if name not in WITH_PARAMS:
-        raise ValueError(
-            f'params: expected one of the controllers {", ".join(WITH_PARAMS)} but found {name}, '
-            'which has no such parameters'
-        )
-    return CONTROLLERS[name].make(axis, params=params, **options)
+    make = CONTROLLERS[name].make
+    if settings or rules is not None:
+        if name not in WITH_PARAMS:
+            raise ValueError(
+                f'settings: expected one of the controllers {", ".join(WITH_PARAMS)} but found '
+                f'{name}, which has no such numbers'
+            )
+        plain: Any = make(axis)
+        options |= _set({'params': plain.params, 'noise': ObserverNoise()}, settings or {}, rules)
+    return make(axis, **options)
 
 
 def make_axis_controller(
@@ -167,13 +174,19 @@ def make_axis_controller(
     assert fit is not None
     options = fit(data, axis, known)
     if 'params' in options:
-        numbers = {key: value for key, value in known.items() if key in UNIVERSES}
-        options['params'] = replace(
-            options['params'], **numbers, **({} if rules is None else {'rules': rules})
-        )
-        if DISTURBANCE in known:
-            options['noise'] = replace(options['noise'], disturbance=known[DISTURBANCE])
+        options = _set(options, known, rules)
     return CONTROLLERS[chosen].make(axis, **options, **common)
+
+
+def _set(options: Options, settings: Mapping[str, float], rules: RuleTable | None) -> Options:
+    """Return options of the variable universe with numbers and rules of their own."""
+    numbers: dict[str, Any] = {key: settings[key] for key in UNIVERSES if key in settings}
+    if rules is not None:
+        numbers['rules'] = rules
+    found = {**options, 'params': replace(options['params'], **numbers)}
+    if DISTURBANCE in settings:
+        found['noise'] = replace(options['noise'], disturbance=settings[DISTURBANCE])
+    return found
 
 
 def _checked(name: str, given: Mapping[str, float]) -> dict[str, float]:
@@ -221,9 +234,6 @@ def setting_ranges(
         most = 1.0 if key.endswith('exponent') else 3.0 * untuned
         found[key] = (untuned / 3.0, most, untuned)
     return found
-
-
-Options = dict[str, Any]
 
 
 def _universes(data: AxisData, axis: LinearAxis, settings: Mapping[str, float]) -> Options:

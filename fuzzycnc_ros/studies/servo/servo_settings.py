@@ -4,15 +4,13 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.servo.axis import LinearAxis
     from fuzzycnc_ros.core.servo.controller import AxisController
     from fuzzycnc_ros.core.servo.rule_table import RuleTable
 
@@ -40,28 +38,18 @@ class ServoSettings:
     numbers: Mapping[str, float] = field(default_factory=dict)
     rules: RuleTable | None = None
 
-    def controller(self, name: str, axis: str, model: LinearAxis) -> AxisController:
-        """Return the controller of a name with these settings."""
-        from fuzzycnc_ros.core.servo.axis_control import DISTURBANCE, make_controller
-        from fuzzycnc_ros.core.servo.ballscrew import ballscrew_controller
-        from fuzzycnc_ros.core.servo.observer import ObserverNoise
+    def controller(self, name: str, axis: str) -> AxisController:
+        """Return the controller of a name for a built-in axis with these settings."""
+        from fuzzycnc_ros.core.servo.axis_control import DISTURBANCE, WITH_RULES
+        from fuzzycnc_ros.core.servo.built_in import built_in_controller
 
         try:
-            if axis == 'ballscrew':
-                return ballscrew_controller(name, self.numbers, self.rules)
-            given: dict[str, Any] = dict(self.numbers)
-            options: dict[str, Any] = {}
-            if DISTURBANCE in given:
-                if name != 'variable_universe':
-                    raise ValueError(
-                        'disturbance: expected with variable_universe, which has an observer, '
-                        'but found it'
-                    )
-                options['noise'] = replace(ObserverNoise(), disturbance=given.pop(DISTURBANCE))
-            if self.rules is not None:
-                given['rules'] = self.rules
-            plain: Any = make_controller(name, model)
-            return make_controller(name, model, replace(plain.params, **given), **options)
+            if DISTURBANCE in self.numbers and name != WITH_RULES:
+                raise ValueError(
+                    f'{DISTURBANCE}: expected with {WITH_RULES}, which has an observer, alone '
+                    'but found it'
+                )
+            return built_in_controller(axis, name, self.numbers, self.rules)
         except ValueError as error:
             raise ValueError(f'{self.path}: {error}') from error
 
@@ -96,36 +84,44 @@ def read_settings(path: Path) -> ServoSettings:
     ValueError
         If it is none; the message names the file and what is wrong.
     """
-    from fuzzycnc_ros.bags.yaml_file import compose, construct
+    from fuzzycnc_ros.bags.yaml_file import YamlReading
     from fuzzycnc_ros.core.servo.axis_control import DISTURBANCE, UNIVERSES
     from fuzzycnc_ros.core.servo.rule_table import RuleTable
 
-    document = construct(path, compose(path, 'a file of settings, YAML or JSON'))
-    if isinstance(document, dict) and 'axes' in document:
+    wanted = "'settings' or 'rules', or both"
+    reading = YamlReading(path, f'a file with {wanted}')
+    found = reading.top(wanted)
+    if 'axes' in found:
         raise ValueError(
             f"{path}: expected 'settings' or 'rules' but found the axes of a machine file, which "
             'has the settings of its controllers; give it as machine file'
         )
-    if not isinstance(document, dict) or not document.keys() & {'settings', 'rules'}:
-        raise ValueError(f"{path}: expected 'settings' or 'rules', or both, but found neither")
-    _check_keys(path, '', document, _KEYS)
-    numbers = _mapping(path, 'settings', document.get('settings', {}))
-    _check_keys(path, 'settings: ', numbers, (*UNIVERSES, DISTURBANCE))
-    found = {name: _number(path, name, value) for name, value in numbers.items()}
+    reading.known(found, _KEYS, '')
+    if not found.keys() & {'settings', 'rules'}:
+        raise ValueError(f'{path}: expected {wanted}, but found neither')
+    numbers = reading.section(found, 'settings')
+    reading.known(numbers, (*UNIVERSES, DISTURBANCE), 'settings')
     rules = None
-    if 'rules' in document:
-        table = _mapping(path, 'rules', document['rules'])
-        _check_keys(path, 'rules: ', table, ('centres', 'values'))
+    if 'rules' in found:
+        table = reading.section(found, 'rules')
+        reading.known(table, ('centres', 'values'), 'rules')
         try:
             rules = RuleTable(
-                tuple(map(float, table['centres'])),
-                tuple(tuple(map(float, row)) for row in table['values']),
+                tuple(map(float, reading.plain(table['centres']))),
+                tuple(tuple(map(float, row)) for row in reading.plain(table['values'])),
             )
         except (KeyError, OverflowError, TypeError, ValueError) as error:
-            raise ValueError(
-                f'{path}: rules: expected centres and a square table of numbers: {error}'
+            raise reading.wrong(
+                found['rules'].line,
+                'rules',
+                f'expected centres and a square table of numbers: {error}',
             ) from error
-    return ServoSettings(path, str(document.get('axis', '')), found, rules)
+    return ServoSettings(
+        path,
+        str(reading.value(found['axis'])) if 'axis' in found else '',
+        {name: reading.number(entry, f'settings.{name}') for name, entry in numbers.items()},
+        rules,
+    )
 
 
 def rules_text(path: Path, axis: str, rules: RuleTable, about: str) -> str:
@@ -144,27 +140,3 @@ def rules_text(path: Path, axis: str, rules: RuleTable, about: str) -> str:
 
     text: str = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=99)
     return text
-
-
-def _mapping(path: Path, name: str, value: Any) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise ValueError(f'{path}: {name}: expected names and values but found {value!r}')
-    return value
-
-
-def _number(path: Path, name: str, value: Any) -> float:
-    try:
-        return float(value)  # 1e-3 without a point is text in YAML 1.1
-    except (OverflowError, TypeError, ValueError):
-        raise ValueError(f'{path}: {name}: expected a number but found {value!r}') from None
-
-
-def _check_keys(path: Path, where: str, found: Mapping[str, Any], known: tuple[str, ...]) -> None:
-    """Refuse a name that is not known."""
-    for name in found:
-        if name not in known:
-            near = difflib.get_close_matches(str(name), known, 1)
-            meant = f'; did you mean {near[0]}?' if near else ''
-            raise ValueError(
-                f'{path}: {where}expected {", ".join(known)} but found {name!r}{meant}'
-            )

@@ -11,8 +11,9 @@ from types import SimpleNamespace
 import pytest
 from programs.without_feeds import strip_feeds
 
-from fuzzycnc_ros.cli.quantities import FEEDS, LENGTHS, SHARES, quantity
+from fuzzycnc_ros.cli.quantities import quantity
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+from fuzzycnc_ros.core.units import FEEDS, LENGTHS, SHARES
 
 PROGRAM = b"""%\r
 (part 7 \xb0C \xff)\r

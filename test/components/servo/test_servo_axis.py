@@ -5,7 +5,7 @@
 import pytest
 
 from fuzzycnc_ros.components.servo.servo_axis import ServoAxis
-from fuzzycnc_ros.core.servo.ballscrew import ballscrew_controller
+from fuzzycnc_ros.core.servo.built_in import built_in_controller
 from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
 
 PLACE, STEPS = 0.034925, 1500
@@ -14,7 +14,7 @@ PLACE, STEPS = 0.034925, 1500
 @pytest.mark.parametrize('rounding', [1e-13, -1e-13])
 def test_an_axis_that_rests_while_others_move_stays_where_it_is(rounding):
     plant = BallscrewAxis()
-    axis = ServoAxis('X', ballscrew_controller('variable_universe'), (-0.3, 0.3))
+    axis = ServoAxis('X', built_in_controller('ballscrew', 'variable_universe'), (-0.3, 0.3))
     axis.step(plant.measure())
     for step in range(STEPS):  # there at 50 mm/s
         plant.drive(axis.step(plant.measure()))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
-from fuzzycnc_ros.core.servo.ballscrew import ballscrew_controller
+from fuzzycnc_ros.core.servo.built_in import built_in_controller
 from fuzzycnc_ros.core.servo.friction import MovingDisturbance
 from fuzzycnc_ros.core.servo.observer import ObserverDesign, ObserverNoise
 from fuzzycnc_ros.core.servo.profile import point_to_point
@@ -21,7 +21,7 @@ FORCE = BallscrewAxisConfig().force_max
 
 def ruled(plant=None, **settings):
     """Return the production controller of the ball screw, with other settings."""
-    return ballscrew_controller('variable_universe', settings, **(plant or {}))
+    return built_in_controller('ballscrew', 'variable_universe', settings, **(plant or {}))
 
 
 def drive(controller, axis, reference, velocity=0.0, periods=1000):

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.servo.ballscrew import ballscrew_controller
+from fuzzycnc_ros.core.servo.built_in import built_in_controller
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits, FeedbackWatch
 from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
 
@@ -47,7 +47,7 @@ def test_coarse_steps_are_noticed_in_a_steady_acceleration_that_does_not_fit_the
 def test_a_well_followed_reversal_raises_no_alarm():
     time = 1e-3 * np.arange(100)
     ramp, slope = 0.02 * time - 0.2 * time**2, 0.02 - 0.4 * time
-    controller, axis = ballscrew_controller('variable_universe'), BallscrewAxis()
+    controller, axis = built_in_controller('ballscrew', 'variable_universe'), BallscrewAxis()
     target = 0.0
     for _ in range(1000):
         axis.drive(controller.step(target, axis.measure(), 0.02))
