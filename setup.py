@@ -38,6 +38,8 @@ device_files = ['pydantic>=2.7', 'pyyaml']
 modbus = ['pymodbus>=3.10', 'pyserial', *device_files]
 mqtt = ['paho-mqtt>=2.1', *device_files]
 opcua = ['asyncua>=1.1.5', 'cryptography', *device_files]
+designs = ['pyembroidery>=1.5', 'svgelements>=1.9', 'ezdxf>=1.3']
+camera = ['opencv-python-headless>=4.8']
 page = ['cryptography', 'starlette', 'uvicorn>=0.35', 'websockets']
 ship = ['fsspec']
 fleet = ['dask', 'distributed', 'pyarrow']
@@ -85,7 +87,9 @@ setup(
     install_requires=['numpy>=1.26', 'scipy>=1.11', *command_line, *report, *ml],
     extras_require={
         'bags': bags,
+        'camera': camera,
         'cli': command_line,
+        'designs': designs,
         'docs': docs,
         'fleet': fleet,
         'ml': ml,
@@ -96,7 +100,20 @@ setup(
         'report': report,
         'ship': ship,
         'tables': tables,
-        'all': command_line + report + ml + tables + modbus + mqtt + opcua + page + ship + fleet,
+        'all': [
+            *command_line,
+            *report,
+            *ml,
+            *tables,
+            *modbus,
+            *mqtt,
+            *opcua,
+            *page,
+            *ship,
+            *fleet,
+            *designs,
+            *camera,
+        ],
         'test': [
             *command_line,
             *report,
@@ -108,6 +125,8 @@ setup(
             *page,
             *ship,
             *fleet,
+            *designs,
+            *camera,
             'httpx',
             'hypothesis',
             'pytest',

@@ -71,7 +71,7 @@ def train(
 ) -> DeformationModel:
     """Train a model of feed compensation on samples of stitched lines and arcs.
 
-    Like `fuzzycnc foam train`: no correction, ridge regression, a Gaussian process and the T-S
+    Like `fuzzycnc soft train`: no correction, ridge regression, a Gaussian process and the T-S
     fuzzy neural network compete on samples that are held out; samples that contradict the others
     are left out.  What is doubtful is a warning.
 
@@ -111,7 +111,7 @@ def learn(
     path_id: str = 'track',
     gain: float = LEARNING_GAIN,
 ) -> StitchOffsets:
-    """Learn the offsets of one track from recorded runs of it, like `fuzzycnc foam learn`.
+    """Learn the offsets of one track from recorded runs of it, like `fuzzycnc soft learn`.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def learn(
 
 
 def read_model(path: str | os.PathLike[str]) -> SoftModel:
-    """Return what a file of `save_model`, `fuzzycnc foam train` or `foam learn` holds.
+    """Return what a file of `save_model`, `fuzzycnc soft train` or `soft learn` holds.
 
     Raises
     ------
@@ -189,7 +189,7 @@ def read_model(path: str | os.PathLike[str]) -> SoftModel:
 
 
 def save_model(model: SoftModel, path: str | os.PathLike[str]) -> None:
-    """Write a model or learnt offsets as a file, for `foam compensate` and the node.
+    """Write a model or learnt offsets as a file, for `soft compensate` and the node.
 
     Raises
     ------

@@ -117,6 +117,8 @@ class Application:
     alone : mapping of str to str
         Options whose value may be left out, as typer has none, and what it then is; where it is
         given an equals sign has to stand before it.
+    renamed : mapping of str to str
+        Old names of commands, which are taken for one version more with a note, and the new ones.
     """
 
     def __init__(
@@ -126,10 +128,12 @@ class Application:
         commands: Commands,
         watching: Collection[str] = (),
         alone: Mapping[str, str] = MappingProxyType({}),
+        renamed: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self.name = name
         self._watching = watching
         self._alone = alone
+        self.renamed = renamed
 
         class InOrder(TyperGroup):
             """Lists commands in their order, under headings, and loads one when it is used."""
@@ -201,6 +205,14 @@ class Application:
             if words[:1] == ['--version']:
                 say(f'{self.name} {__version__}')
                 return 0
+            if words and words[0] in self.renamed:
+                new = self.renamed[words[0]]
+                print(
+                    f'note: `{self.name} {words[0]}` is now `{self.name} {new}`; the next version '
+                    'knows the new name alone',
+                    file=sys.stderr,
+                )
+                words = [new, *words[1:]]
             words = [self._with_value(word) for word in words]
             words = with_their_units(words)
             code = self.typer(words or ['--help'], prog_name=self.name, standalone_mode=False)

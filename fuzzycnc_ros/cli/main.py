@@ -41,7 +41,7 @@ How an axis moves to a position, and all controllers compared:
 
 Patterns on soft material, compensated before they are stitched:
 
-    fuzzycnc foam demo
+    fuzzycnc soft demo
 
 `fuzzycnc COMMAND --help` explains each command with examples.
 """
@@ -172,10 +172,10 @@ COMMANDS: Commands = {
         'fuzzycnc_ros.cli.axes.servo',
         'Compare, learn, tune and judge controllers that position an axis.',
     ),
-    'foam': Later(
+    'soft': Later(
         'Soft material',
-        'fuzzycnc_ros.cli.foam.command',
-        'Compensate patterns on soft material: show, train, compensate, learn.',
+        'fuzzycnc_ros.cli.soft.command',
+        'Compensate patterns and designs on soft material: show, train, compensate, learn.',
     ),
     'schema': Later(
         'For developers',
@@ -196,6 +196,7 @@ APPLICATION = Application(
     COMMANDS,
     watching=('demo', 'up', 'record', 'watch'),
     alone={'--page': '0'},  # the usual port,
+    renamed={'foam': 'soft'},
 )
 run = APPLICATION.run
 

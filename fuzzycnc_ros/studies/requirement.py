@@ -1,18 +1,23 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Packages of reports and of a fleet: loaded on use, named with their remedy when missing."""
+"""Packages that not everybody needs: loaded on use, named with their remedy when missing."""
 
 import logging
 from importlib import import_module
 from typing import Any
 
 _REPORT, _FLEET = ('a report', 'report'), ('a fleet of bags', 'fleet')
+_DESIGN, _CAMERA = ('a design', 'designs'), ('a photograph', 'camera')
 _NEEDED_BY = {
     'matplotlib': _REPORT,
     'jinja2': _REPORT,
     'rich': _REPORT,
     'pyarrow': _FLEET,
     'distributed': _FLEET,
+    'pyembroidery': _DESIGN,
+    'svgelements': _DESIGN,
+    'ezdxf': _DESIGN,
+    'cv2': _CAMERA,
 }
 """Who needs a package, and the extra that brings it."""
 _DEBIAN = {
@@ -23,7 +28,7 @@ _DEBIAN = {
 
 
 def require(module: str) -> Any:
-    """Import a module of matplotlib, jinja2, rich, pyarrow or Dask.
+    """Import a module of a package that an extra brings.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ import pytest
 
 import fuzzycnc_ros
 from fuzzycnc_ros import feedrate, servo, soft, thermal
-from fuzzycnc_ros.cli.foam.command import train
+from fuzzycnc_ros.cli.soft.command import train
 from fuzzycnc_ros.core.feedrate.path.curves import infinity
 from fuzzycnc_ros.core.servo.profile import Reference
 from fuzzycnc_ros.machine_file.reader import built_in_path

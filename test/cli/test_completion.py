@@ -81,7 +81,7 @@ def test_commands_are_proposed_without_loading_any(root):
         ('fuzzycnc position --sensor ', ['grating', 'encoder']),
         ('fuzzycnc schedule --method j', ['jerk_limited']),
         ('fuzzycnc advise --corners ', ['none', 'feed', 'split']),
-        ('fuzzycnc foam train --features p', ['physical', 'paper']),
+        ('fuzzycnc soft train --features p', ['physical', 'paper']),
         ('fuzzycnc machine show ball', ['ballscrew']),
         ('fuzzycnc schema ', ['devices', 'control', 'machine', 'broker', 'thermal-test', 'probe']),
         ('fuzzycnc operate activate comp', ['compensator']),

@@ -143,7 +143,7 @@ def test_ctrl_c_in_the_middle_of_work(tmp_path, root):
     assert 'Traceback' not in err
 
 
-GROUPS = ('foam', 'servo')
+GROUPS = ('servo', 'soft')
 """Commands that have commands of their own."""
 
 

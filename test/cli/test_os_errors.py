@@ -68,7 +68,7 @@ def test_outputs(refused, tmp_path):
         ['schema', 'machine', '--out'],
         ['machine', 'new'],
         ['simulate', '--json'],
-        ['foam', 'demo', '--report'],
+        ['soft', 'demo', '--report'],
     ):
         refused(*words, 'file/x.yaml', naming=['file/x.yaml', 'file is a file', 'another place'])
         refused(*words, 'no/x.yaml', naming=['no/x.yaml', 'found no no', 'make it first'])

@@ -209,6 +209,7 @@ def test_commands_and_options_exist(page):
     parts = [part for line in used for part in line.replace(' -- ', '\nfuzzycnc up ').split('\n')]
     for line in parts:
         command, words = group, line.split()[1:]
+        words[:1] = [APPLICATION.renamed.get(word, word) for word in words[:1]]  # of old versions
         # down to the command itself: `servo tune` is one of `servo`
         while words and not words[0].startswith('--') and hasattr(command, 'commands'):
             command, words = command.get_command(None, words[0]), words[1:]

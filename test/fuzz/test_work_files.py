@@ -10,17 +10,19 @@ from io import StringIO
 import numpy as np
 import pytest
 from benches import pattern_bench
+from designs import embroidery
 from fuzzing.campaign import SEEDS, fuzz, refusal, refused_or_read
-from fuzzing.file_mutations import damaged
+from fuzzing.file_mutations import damaged, mutated_bytes
 from hypothesis import given
 
-from fuzzycnc_ros.cli.foam.compensate import Job, shifted_points, shifted_program
+from fuzzycnc_ros.cli.soft.compensate import Job, shifted_points, shifted_program
 from fuzzycnc_ros.core.deformation.model import read_model
 from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 from fuzzycnc_ros.studies.pareto.pareto_path import table_path
 from fuzzycnc_ros.studies.servo.recorded_moves import read_csv
+from fuzzycnc_ros.studies.soft.design_files import WRITTEN, read_design
 from fuzzycnc_ros.studies.soft.foam_records import COLUMNS, read_samples
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
@@ -132,3 +134,25 @@ def test_the_stitches_themselves_are_shifted(folder):
     file.write_text(PROGRAM)
     text = shifted_program(file, 'mm', Job(*job_parts(), 6e-3, 3e-3))
     assert text.count('\n') > 30
+
+
+@fuzz(25, share=0.2)
+@given(seed=SEEDS)
+def test_designs_of_stitching_machines(folder, seed):
+    rng = random.Random(seed)
+    file = embroidery(folder / f'design{rng.choice(WRITTEN)}')
+    file.write_bytes(mutated_bytes(file.read_bytes(), rng))
+    refused_or_read(lambda path: read_design(path, None), file)
+
+
+DRAWING = """<svg xmlns="http://www.w3.org/2000/svg" width="90mm" viewBox="0 0 90 60">
+<g transform="rotate(10) scale(1.5)"><path d="M 1 1 C 9 9 20 -9 30 2 A 5 5 0 0 1 9 9 Z"/>
+<use href="#a"/><rect id="a" x="3" y="3" width="20" height="9" rx="2"/></g></svg>"""
+
+
+@fuzz(25, share=0.2)
+@given(seed=SEEDS)
+def test_drawings_to_be_stitched(folder, seed):
+    file = folder / 'drawing.svg'
+    file.write_bytes(damaged(DRAWING, random.Random(seed)))
+    refused_or_read(lambda path: read_design(path, 3e-3), file)

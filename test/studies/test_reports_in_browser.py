@@ -50,8 +50,8 @@ COMMANDS = {
     'position': ('position', '--to', '-50mm'),
     'servo': ('servo', 'compare', '--moves', '0', '--controllers', 'variable_universe,pid'),
     'stability': ('servo', 'stability'),
-    'foam': ('foam', 'demo', '--runs', '1'),
-    'samples': ('foam', 'train', 'samples.csv', '--out', 'foam.json'),
+    'foam': ('soft', 'demo', '--runs', '1'),
+    'samples': ('soft', 'train', 'samples.csv', '--out', 'foam.json'),
     'thermal test': ('report', 'thermal', 'shift_calibration/D0'),
 }
 """A command of each kind of report."""

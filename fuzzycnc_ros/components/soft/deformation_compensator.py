@@ -55,14 +55,14 @@ class DeformationCompensatorConfig(CompensationConfig):
     model: str = param(
         '',
         '-',
-        'Model file made by fuzzycnc foam train, or offsets of one track by fuzzycnc foam learn; '
+        'Model file made by fuzzycnc soft train, or offsets of one track by fuzzycnc soft learn; '
         'empty stitches without compensation',
         live=True,
     )
     offsets: str = param(
         '',
         '-',
-        'File made by fuzzycnc foam learn: offsets of one track, used for it instead of the '
+        'File made by fuzzycnc soft learn: offsets of one track, used for it instead of the '
         "model's; empty for none",
         live=True,
     )

@@ -2,7 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Offsets of one track, learnt from its recorded runs, as JSON documents."""
 
+from __future__ import annotations
+
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,6 +65,22 @@ class StitchOffsets:
         if material != self.material:
             return f'offsets for the material {self.material!r}, not for {material!r}'
         return self.other_points(nominal)
+
+    def of_runs(self, runs: Sequence[Array]) -> list[StitchOffsets] | None:
+        """Return the offsets of each run of a design, None if they are not for all of them.
+
+        Parameters
+        ----------
+        runs : sequence of ndarray, shape (k, 2)
+            Nominal points of the runs in their order [m].
+        """
+        if self.other_points(np.concatenate([np.empty((0, 2)), *runs])):
+            return None
+        ends = np.cumsum([len(run) for run in runs])[:-1]
+        return [
+            StitchOffsets(self.path_id, self.material, *part)
+            for part in zip(np.split(self.nominal, ends), np.split(self.offset, ends), strict=True)
+        ]
 
     def other_points(self, nominal: Array) -> str:
         """Return how nominal points, shape (k + 1, 2) [m], differ; nothing if they do not."""

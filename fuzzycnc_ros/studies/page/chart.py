@@ -338,11 +338,14 @@ class Picture:
         What it shows, for the CSV file: heading with unit -> numbers or text, all of one length.
     views : sequence of View
         Where a reader zooms into it.
+    true_scale : bool
+        Whether it keeps its size on the page and on paper.
     """
 
     figure: Any
     columns: Mapping[str, Sequence[Any] | NDArray[Any]]
     views: Sequence[View] = ()
+    true_scale: bool = False
 
     def __post_init__(self) -> None:
         for number, view in enumerate(self.views):

@@ -181,6 +181,11 @@ def _with_numbers(sections: Sequence[Section]) -> list[Section]:
             on_paper = drawn(plot) if isinstance(plot, Chart) else plot.figure
             # Drawn first: only then it is known where the parts of a picture lie.
             svg = to_inline_svg(on_paper, f'f{number}')
+            if isinstance(plot, Picture) and plot.true_scale:
+                width, height = 25.4 * on_paper.get_size_inches()
+                svg = svg.replace(
+                    '<svg', f'<svg style="width:{width:.2f}mm;height:{height:.2f}mm"', 1
+                )
             data = _script_text(plot.document())
             figures.append(_NumberedFigure(number, figure.title, figure.caption, svg, data))
         numbered.append(replace(section, figures=figures))

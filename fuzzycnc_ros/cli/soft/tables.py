@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of a track from CSV files, for `fuzzycnc foam learn`."""
+"""Runs of a track from CSV files, for `fuzzycnc soft learn`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fuzzycnc_ros.cli.foam.compensate import sheet_size
 from fuzzycnc_ros.cli.quantities import quantity
+from fuzzycnc_ros.cli.soft.compensate import sheet_size
 from fuzzycnc_ros.core.deformation.samples import RecordedPath
 from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial
 from fuzzycnc_ros.core.units import LENGTHS
@@ -83,7 +83,7 @@ def read_tables(sources: Sequence[Path], options: TrackOptions) -> Recordings | 
 
 
 def _run(path: Path, sheet: SheetMaterial, path_id: str) -> RecordedPath:
-    """Read a run; its commanded places include the offsets, as `foam compensate` writes them."""
+    """Read a run; its commanded places include the offsets, as `soft compensate` writes them."""
     found = read_numbers(path, COMMANDED + STITCHED, optional=OFFSET)
     known = found.columns[4:]
     if len(known) == 1:

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""`fuzzycnc foam`: demo, train and learn, and what they refuse."""
+"""`fuzzycnc soft`: demo, train and learn, and what they refuse."""
 
 import json
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from foam_bags import Run, sample_run, write_bag
 
-from fuzzycnc_ros.cli.foam.command import COMMANDS
+from fuzzycnc_ros.cli.soft.command import COMMANDS
 from fuzzycnc_ros.core.deformation.model import read_model
 from fuzzycnc_ros.core.deformation.offset_file import read_offsets
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
@@ -45,15 +45,15 @@ def model(fuzzycnc, tmp_path, samples):
 
 @pytest.mark.parametrize('name', COMMANDS)
 def test_every_manual_has_an_example_on_a_line_of_its_own(fuzzycnc, name):
-    outcome = fuzzycnc('foam', name, '--help')
+    outcome = fuzzycnc('soft', name, '--help')
     assert outcome.code == 0
     lines = [line.strip() for line in outcome.out.splitlines()]
-    assert any(line.startswith(f'fuzzycnc foam {name}') for line in lines)
+    assert any(line.startswith(f'fuzzycnc soft {name}') for line in lines)
 
 
 @pytest.mark.slow
 def test_demo(fuzzycnc, tmp_path):
-    outcome = fuzzycnc('foam', 'demo', '--runs', '2', '--json', 'out.json', '--report', 'p.html')
+    outcome = fuzzycnc('soft', 'demo', '--runs', '2', '--json', 'out.json', '--report', 'p.html')
     assert outcome.code == 0, outcome.err
     document = json.loads((tmp_path / 'out.json').read_text())
     assert document['runs'] == 2
@@ -81,7 +81,7 @@ def test_train_on_a_table(fuzzycnc, tmp_path, samples):
     keep = (samples.x[:, 4] > 5.0) & (samples.x[:, 4] < 25.0)
     write_samples(tmp_path / 's.csv', samples.x[keep], samples.s[keep])
     outcome = fuzzycnc(
-        'foam', 'train', 's.csv', '--out', 'm.json', '--json', 'out.json', '--report', 'p.html'
+        'soft', 'train', 's.csv', '--out', 'm.json', '--json', 'out.json', '--report', 'p.html'
     )
     assert outcome.code == 0, outcome.err
     document = json.loads((tmp_path / 'out.json').read_text())
@@ -110,7 +110,7 @@ def test_samples_of_one_sheet_stay_together(fuzzycnc, tmp_path, samples):
     x, s = samples.x[:106:2], samples.s[:106:2]
     write_samples(tmp_path / 's.csv', x, s, [f's{number % 7}' for number in range(len(x))])
     options = ('--out', 'm.json', '--no-baselines', '--consequent', 'sts', '--json', 'out.json')
-    outcome = fuzzycnc('foam', 'train', 's.csv', *options)
+    outcome = fuzzycnc('soft', 'train', 's.csv', *options)
     assert outcome.code == 0, outcome.err
     document = json.loads((tmp_path / 'out.json').read_text())
     assert document['groups'] == 7
@@ -129,7 +129,7 @@ def test_train_on_bags_is_as_on_the_samples_in_them(fuzzycnc, tmp_path, samples)
         tmp_path / 'b', *(sample_run(row, n) for n, row in enumerate(lines[20:])), Run(cut=9)
     )
     options = ('--out', 'm.json', '--no-baselines', '--method', 'network', '--json', 'out.json')
-    outcome = fuzzycnc('foam', 'train', 'a', 'b', *options)
+    outcome = fuzzycnc('soft', 'train', 'a', 'b', *options)
     assert outcome.code == 0, outcome.err
     assert f'{len(lines)} samples from fresh starts, 0 by the fading' in outcome.out
     assert 'left out: 1 paths that were not stitched to their end' in outcome.out
@@ -142,7 +142,7 @@ def test_train_on_bags_is_as_on_the_samples_in_them(fuzzycnc, tmp_path, samples)
 def test_adapt_brings_a_model_to_another_friction(fuzzycnc, tmp_path, model):
     write_bag(tmp_path / 'monday', Run(friction=0.35 * 1.3, seed=3))
     outcome = fuzzycnc(
-        'foam', 'train', 'monday', '--adapt', 'model.json', '--out', 'm.json', '--json', 'out.json'
+        'soft', 'train', 'monday', '--adapt', 'model.json', '--out', 'm.json', '--json', 'out.json'
     )
     assert outcome.code == 0, outcome.err
     document = json.loads((tmp_path / 'out.json').read_text())
@@ -152,7 +152,7 @@ def test_adapt_brings_a_model_to_another_friction(fuzzycnc, tmp_path, model):
     assert adapted.gain.value.tolist() == document['gain']
     assert (model.gain.value == 1.0).all()
     write_bag(tmp_path / 'tuesday', Run(friction=0.35 * 5.0, seed=3))
-    outcome = fuzzycnc('foam', 'train', 'tuesday', '--adapt', 'model.json', '--out', 'n.json')
+    outcome = fuzzycnc('soft', 'train', 'tuesday', '--adapt', 'model.json', '--out', 'n.json')
     assert outcome.code == 0, outcome.err
     assert 'gain of X: 1.000 -> 2.000, at its limit: train the model anew' in outcome.out
 
@@ -166,7 +166,7 @@ def test_learn_straightens_a_track_in_three_cycles(fuzzycnc, tmp_path):
         errors.append(np.degrees(TRACK.measure(stitched).angle_error))
         write_bag(tmp_path / f'run{cycle}', Run(offset=offset, seed=cycle))
         outcome = fuzzycnc(
-            'foam', 'learn', f'run{cycle}', '--out', 'offsets.json', '--force', '--json', 'o.json'
+            'soft', 'learn', f'run{cycle}', '--out', 'offsets.json', '--force', '--json', 'o.json'
         )
         assert outcome.code == 0, outcome.err
         found = read_offsets((tmp_path / 'offsets.json').read_text())
@@ -184,7 +184,7 @@ def test_learn_takes_the_mean_of_the_runs_of_a_cycle(fuzzycnc, tmp_path):
     write_bag(tmp_path / 'a', Run(seed=1), Run(seed=2))
     write_bag(tmp_path / 'b', Run(seed=3), Run(path_id='other'))
     outcome = fuzzycnc(
-        'foam', 'learn', 'a', 'b', '--path', 'track', '--gain', '1', '--out', 'o.json'
+        'soft', 'learn', 'a', 'b', '--path', 'track', '--gain', '1', '--out', 'o.json'
     )
     assert outcome.code == 0, outcome.err
     assert '3 runs of 81 points' in outcome.out
@@ -214,7 +214,7 @@ def test_a_sheet_that_does_not_give_way_gets_no_correction(fuzzycnc, tmp_path):
     circle = 0.075 + 0.025 * np.column_stack([np.cos(angle), np.sin(angle)])
     noise = np.random.default_rng(0).normal(0.0, 1e-4, circle.shape)
     write_stitches(tmp_path / 'run.csv', circle, circle + noise)
-    outcome = fuzzycnc('foam', 'learn', 'run.csv', *OF_CIRCLE, '--out', 'o.json')
+    outcome = fuzzycnc('soft', 'learn', 'run.csv', *OF_CIRCLE, '--out', 'o.json')
     assert outcome.code == 0, outcome.err
     assert 'no correction: held-out stitches show no deformation' in outcome.out
     assert not read_offsets((tmp_path / 'o.json').read_text()).offset.any()
@@ -225,7 +225,7 @@ def test_a_run_given_twice_is_no_proof_that_its_noise_repeats(refused, tmp_path)
     for name in ('run.csv', 'copy.csv'):
         write_stitches(tmp_path / name, TRACK.points, TRACK.points + noise)
     naming = ['copy.csv', 'another run than run.csv']
-    refused('foam', 'learn', 'run.csv', 'copy.csv', *OF_CIRCLE, '--out', 'o.json', naming=naming)
+    refused('soft', 'learn', 'run.csv', 'copy.csv', *OF_CIRCLE, '--out', 'o.json', naming=naming)
     assert not (tmp_path / 'o.json').exists()
 
 
@@ -236,7 +236,7 @@ def test_stitches_far_off_their_neighbours_are_named_and_left_out(fuzzycnc, tmp_
     stitched[[11, 40, 70]] += [[2e-3, 0.0], [0.0, -3e-3], [4e-3, 4e-3]]
     write_stitches(tmp_path / 'run.csv', TRACK.points, stitched)
     outcome = fuzzycnc(
-        'foam', 'learn', 'run.csv', *OF_TABLE, '--gain', '1', '--out', 'o.json', '--json', 'j.json'
+        'soft', 'learn', 'run.csv', *OF_TABLE, '--gain', '1', '--out', 'o.json', '--json', 'j.json'
     )
     assert outcome.code == 0, outcome.err
     named = [f'run.csv: stitch {number}' for number in (12, 41, 71)]
@@ -250,7 +250,7 @@ def test_noise_trains_no_model(fuzzycnc, tmp_path, samples):
     x = samples.x[::4]
     write_samples(tmp_path / 's.csv', x, np.random.default_rng(0).normal(0.0, 1.0, (len(x), 2)))
     options = ('--out', 'm.json', '--no-baselines', '--json', 'out.json')
-    outcome = fuzzycnc('foam', 'train', 's.csv', *options)
+    outcome = fuzzycnc('soft', 'train', 's.csv', *options)
     assert outcome.code == 0, outcome.err
     assert json.loads((tmp_path / 'out.json').read_text())['method'] == 'none'
     assert 'no correction: held-out samples show no deformation' in outcome.out
@@ -265,7 +265,7 @@ def test_samples_that_contradict_the_others_are_named(fuzzycnc, tmp_path, sample
     s[wrong] += [[9.0, 0.0], [0.0, -9.0], [-7.0, 7.0]]
     write_samples(tmp_path / 's.csv', x, s)
     options = ('--out', 'm.json', '--no-baselines', '--json', 'out.json')
-    outcome = fuzzycnc('foam', 'train', 's.csv', *options)
+    outcome = fuzzycnc('soft', 'train', 's.csv', *options)
     assert outcome.code == 0, outcome.err
     document = json.loads((tmp_path / 'out.json').read_text())
     assert set(document['outliers']) >= {f'line {number + 2}' for number in wrong}
@@ -290,7 +290,7 @@ def test_samples_that_contradict_the_others_are_named(fuzzycnc, tmp_path, sample
 )
 def test_learn_refuses_what_is_not_one_track(refused, tmp_path, runs, options, naming):
     write_bag(tmp_path / 'bag', *runs)
-    refused('foam', 'learn', 'bag', '--out', 'o.json', *options, naming=naming)
+    refused('soft', 'learn', 'bag', '--out', 'o.json', *options, naming=naming)
     assert not (tmp_path / 'o.json').exists()
 
 
@@ -317,8 +317,8 @@ def test_learn_from_tables_equals_that_from_a_bag(fuzzycnc, tmp_path):
     write_bag(tmp_path / 'bag', *runs)
     for number, run in enumerate(runs):
         write_run(tmp_path / f'{number}.csv', run)
-    assert fuzzycnc('foam', 'learn', 'bag', '--out', 'bag.json').code == 0
-    outcome = fuzzycnc('foam', 'learn', '0.csv', '1.csv', '--out', 'csv.json', *OF_TABLE)
+    assert fuzzycnc('soft', 'learn', 'bag', '--out', 'bag.json').code == 0
+    outcome = fuzzycnc('soft', 'learn', '0.csv', '1.csv', '--out', 'csv.json', *OF_TABLE)
     assert outcome.code == 0, outcome.err
     assert '2 runs of 81 points' in outcome.out
     one, other = (read_offsets((tmp_path / f'{name}.json').read_text()) for name in ('bag', 'csv'))
@@ -345,7 +345,7 @@ def test_learn_from_tables_equals_that_from_a_bag(fuzzycnc, tmp_path):
 def test_learn_refuses_tables_that_are_none(refused, tmp_path, text, options, naming):
     header = 'x_mm,y_mm,stitched_x_mm,stitched_y_mm'
     (tmp_path / 'run.csv').write_text(f'{header}\n{text}\n')
-    refused('foam', 'learn', 'run.csv', '--out', 'o.json', *options, naming=naming)
+    refused('soft', 'learn', 'run.csv', '--out', 'o.json', *options, naming=naming)
     assert not (tmp_path / 'o.json').exists()
 
 
@@ -360,14 +360,14 @@ def test_learn_refuses_tables_that_are_none(refused, tmp_path, text, options, na
 )
 def test_learn_names_what_the_header_lacks(refused, tmp_path, header, naming):
     (tmp_path / 'run.csv').write_text(f'{header}\n1,1,1,1,0\n4,1,4,1,0\n')
-    refused('foam', 'learn', 'run.csv', '--out', 'o.json', *OF_TABLE, naming=naming)
+    refused('soft', 'learn', 'run.csv', '--out', 'o.json', *OF_TABLE, naming=naming)
 
 
 def test_learn_takes_bags_or_tables_and_what_belongs_to_them(refused, tmp_path):
     write_bag(tmp_path / 'bag', Run())
     write_run(tmp_path / 'run.csv', Run())
-    wide = ('foam', 'learn', 'bag', '--out', 'o.json')
-    refused('foam', 'learn', 'bag', 'run.csv', '--out', 'o.json', naming=['run.csv', 'found both'])
+    wide = ('soft', 'learn', 'bag', '--out', 'o.json')
+    refused('soft', 'learn', 'bag', 'run.csv', '--out', 'o.json', naming=['run.csv', 'found both'])
     refused(*wide, '--material', 'foam', naming=['--material', 'a bag holds it'])
 
 
@@ -384,7 +384,7 @@ def test_lengths_in_other_units_are_suspected(refused, tmp_path, samples, factor
     x, s = samples
     scale = [factors.get(name, 1.0) for name in COLUMNS[:5]]
     write_samples(tmp_path / 's.csv', x * scale, s)
-    refused('foam', 'train', 's.csv', '--out', 'm.json', naming=naming)
+    refused('soft', 'train', 's.csv', '--out', 'm.json', naming=naming)
 
 
 @pytest.mark.slow
@@ -393,7 +393,7 @@ def test_compensations_in_other_units_are_doubted(fuzzycnc, tmp_path, samples, f
     x, s = samples
     write_samples(tmp_path / 's.csv', x, s * factor)
     adapt = ('--consequent', 'sts', '--no-baselines')
-    outcome = fuzzycnc('foam', 'train', 's.csv', '--out', 'm.json', *adapt)
+    outcome = fuzzycnc('soft', 'train', 's.csv', '--out', 'm.json', *adapt)
     assert outcome.code == 0, outcome.err
     assert 'note: s_x_mm and s_y_mm are' in outcome.out
     assert 'if they are m' in outcome.out
@@ -404,14 +404,14 @@ def test_few_rows_give_one_sentence(refused, tmp_path, samples, rows):
     x, s = samples
     write_samples(tmp_path / 's.csv', x[:rows], s[:rows])
     naming = ['at least 19 that differ', f'found {rows}; record more']
-    refused('foam', 'train', 's.csv', '--out', 'm.json', naming=naming)
+    refused('soft', 'train', 's.csv', '--out', 'm.json', naming=naming)
 
 
 def test_enough_rows_in_too_few_groups_are_named(refused, tmp_path, samples):
     x, s = samples
     write_samples(tmp_path / 's.csv', x[:30], s[:30], sheets=['a'] * 28 + ['b', 'c'])
     naming = ['30 samples in 3 groups', 'record more sheets']
-    refused('foam', 'train', 's.csv', '--out', 'm.json', naming=naming)
+    refused('soft', 'train', 's.csv', '--out', 'm.json', naming=naming)
 
 
 @pytest.mark.parametrize(
@@ -431,7 +431,7 @@ def test_train_refuses_bad_rows(refused, tmp_path, column, value, naming):
     row = dict(zip(COLUMNS, ('45', '6', '2', '3', '15', '2.5', '1.9'), strict=True))
     lines = [','.join(COLUMNS), ','.join(row.values()), ','.join((row | {column: value}).values())]
     (tmp_path / 's.csv').write_text('\n'.join(lines) + '\n')
-    refused('foam', 'train', 's.csv', '--out', 'm.json', naming=naming)
+    refused('soft', 'train', 's.csv', '--out', 'm.json', naming=naming)
     assert not (tmp_path / 'm.json').exists()
 
 
@@ -456,7 +456,7 @@ def test_train_refuses_bad_rows(refused, tmp_path, column, value, naming):
             ('train', 'few.csv', '--out', 'm.json', '--adapt', 'x', '--report', 'r.html'),
             ['--report', '--adapt'],
         ),
-        (('train',), ['fuzzycnc foam train --help']),
+        (('train',), ['fuzzycnc soft train --help']),
         (('demo', '--runs', '0'), ['--runs', '1 or more']),
         (('demo', '--seed', '-1'), ['--seed', '0 or more']),
         (('learn', 'no', '--out', 'o.json'), ['no', 'nothing is there']),
@@ -467,13 +467,13 @@ def test_bad_input_is_refused(refused, tmp_path, arguments, naming):
     (tmp_path / 'few.csv').write_text(','.join(COLUMNS) + '\n' + '45,6,2,3,15,2.5,1.9\n' * 3)
     (tmp_path / 'odd.csv').write_text('direction_deg,type\n45,2\n')
     (tmp_path / 'empty.csv').write_text(','.join(COLUMNS) + '\n')
-    refused('foam', *arguments, naming=naming)
+    refused('soft', *arguments, naming=naming)
     assert not (tmp_path / 'm.json').exists()
 
 
 def test_adapt_refuses_samples_that_the_model_is_not_for(refused, tmp_path, model):
     write_samples(tmp_path / 's.csv', [[80.0, 6.0, 2.0, 3.0, 15.0]], [[1.0, 2.0]])
     refused(
-        'foam', 'train', 's.csv', '--adapt', 'model.json', '--out', 'm.json',
+        'soft', 'train', 's.csv', '--adapt', 'model.json', '--out', 'm.json',
         naming=['model.json', 'found none among 1'],
     )  # fmt: skip

@@ -1,3 +1,3 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""The commands `fuzzycnc foam`: soft material."""
+"""The commands `fuzzycnc soft`: soft material."""

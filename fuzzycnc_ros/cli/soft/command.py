@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""`fuzzycnc foam`: soft material that a path is straightened for beforehand."""
+"""`fuzzycnc soft`: soft material that a path is straightened for beforehand."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -20,21 +20,21 @@ from fuzzycnc_ros.cli.console import (
     write_report,
     write_text,
 )
-from fuzzycnc_ros.cli.foam.compensate import compensate, read_model_file
 from fuzzycnc_ros.cli.options import OptionalPath, OptionalText, Report, choice, given
+from fuzzycnc_ros.cli.soft.compensate import compensate, read_model_file
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.studies.soft.foam_records import Samples
 
 HELP = """Compensate patterns on soft material: show, train, compensate, learn.
 
-    fuzzycnc foam demo --report foam.html
-    fuzzycnc foam train calibration --out model.json
-    fuzzycnc foam compensate quilt.ngc --model model.json --thickness 15mm --depth 6mm \\
+    fuzzycnc soft demo --report foam.html
+    fuzzycnc soft train calibration --out model.json
+    fuzzycnc soft compensate quilt.ngc --model model.json --thickness 15mm --depth 6mm \\
         --step 3mm --out quilt_compensated.ngc
-    fuzzycnc foam learn monday --out offsets.json
+    fuzzycnc soft learn monday --out offsets.json
 
-`foam compensate` and `deformation_compensator` take both kinds of files.
+`soft compensate` and `deformation_compensator` take both kinds of files.
 """
 
 FEATURES = ('load', 'physical', 'thickness', 'paper')
@@ -56,8 +56,8 @@ def demo(
     as it is, with linear rules, with the default, and as published. Then the tracks are learnt
     from their recorded runs in three cycles. Ten seconds.
 
-        fuzzycnc foam demo
-        fuzzycnc foam demo --seed 3 --json figures.json --report foam.html
+        fuzzycnc soft demo
+        fuzzycnc soft demo --seed 3 --json figures.json --report foam.html
     """
     from fuzzycnc_ros.studies.soft import foam_page as shown
     from fuzzycnc_ros.studies.soft.foam_comparison import SIZE, compare_foam
@@ -140,9 +140,9 @@ def train(
     With --adapt nothing is trained: two gains, within 0.5 and 2, bring a model to another sheet or
     foot from a single run.
 
-        fuzzycnc foam train calibration --out model.json
-        fuzzycnc foam train samples.csv --method network --out fuzzy.json --report training.html
-        fuzzycnc foam train monday --adapt model.json --out model_monday.json
+        fuzzycnc soft train calibration --out model.json
+        fuzzycnc soft train samples.csv --method network --out fuzzy.json --report training.html
+        fuzzycnc soft train monday --adapt model.json --out model_monday.json
     """
     from fuzzycnc_ros.studies.soft.foam_records import read_samples
 
@@ -228,7 +228,7 @@ def _adapt(samples: 'Samples', source: Path, out: Path, json_file: Path | None) 
     model = read_model_file(source)
     if not isinstance(model, DeformationModel):
         raise ValueError(
-            f'{source}: expected a model of `foam train` but found offsets of one track, which '
+            f'{source}: expected a model of `soft train` but found offsets of one track, which '
             'have no gains'
         )
     for line in samples.lines:
@@ -257,7 +257,7 @@ def learn(
             metavar='SOURCE...',
             help='Bags of runs of one track, of the last cycle, or a .csv for each run with the '
             'columns x_mm, y_mm, stitched_x_mm, stitched_y_mm and, if the run had offsets, '
-            'offset_x_mm and offset_y_mm, as `foam compensate` writes them.',
+            'offset_x_mm and offset_y_mm, as `soft compensate` writes them.',
         ),
     ],
     out: Annotated[Path, typer.Option(metavar='OFFSETS', help='File of offsets to write.')],
@@ -289,11 +289,11 @@ def learn(
     of one cycle count by their mean; runs with other offsets, of another track or material are
     refused. No model is needed, and a track is learnt where no model was trained.
 
-        fuzzycnc foam learn first_run --out offsets.json
-        fuzzycnc foam learn second_run --out offsets.json --force
-        fuzzycnc foam learn run.csv --path star --material foam --thickness 15mm --out offsets.json
+        fuzzycnc soft learn first_run --out offsets.json
+        fuzzycnc soft learn second_run --out offsets.json --force
+        fuzzycnc soft learn run.csv --path star --material foam --thickness 15mm --out offsets.json
     """
-    from fuzzycnc_ros.cli.foam.tables import TrackOptions, read_tables
+    from fuzzycnc_ros.cli.soft.tables import TrackOptions, read_tables
     from fuzzycnc_ros.core.deformation.offset_file import write_offsets
     from fuzzycnc_ros.studies.soft.foam_learning import learn_track
     from fuzzycnc_ros.studies.soft.foam_records import read_recordings

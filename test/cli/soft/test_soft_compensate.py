@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""`fuzzycnc foam compensate`: programs and lists of stitches, and what is refused."""
+"""`fuzzycnc soft compensate`: programs and lists of stitches, and what is refused."""
 
 import csv
 import json
@@ -50,7 +50,7 @@ def expected(model):
 
 @pytest.fixture
 def learnt(tmp_path):
-    """Offsets of the track, as `foam learn` writes them."""
+    """Offsets of the track, as `soft learn` writes them."""
     angle = np.linspace(0.0, np.pi, len(TRACK.points))
     offset = 1e-3 * np.column_stack([np.sin(angle), np.sin(2.0 * angle)])
     found = StitchOffsets('track', 'foam', TRACK.points, offset)
@@ -64,7 +64,7 @@ def test_learnt_offsets_are_taken_for_the_track_that_they_are_of(
     quilt = tmp_path / 'quilt.ngc'
     circle = 'G0 X20 Y20\nG1 X40 Y20 F1200\nG0 Z5\n'
     quilt.write_text(quilt.read_text().replace('M30', f'{circle}M30'))
-    outcome = fuzzycnc('foam', 'compensate', 'quilt.ngc', *SHEET, '--out', 'out.ngc')
+    outcome = fuzzycnc('soft', 'compensate', 'quilt.ngc', *SHEET, '--out', 'out.ngc')
     assert outcome.code == 0, outcome.err
     assert 'model.json is for one figure alone' in ' '.join(outcome.out.split())
     ends = np.array([s.end[:2] for s in read_program((tmp_path / 'out.ngc').read_text()).segments])
@@ -75,7 +75,7 @@ def test_learnt_offsets_are_taken_for_the_track_that_they_are_of(
 def test_learnt_offsets_are_taken_for_a_list_of_stitches(fuzzycnc, tmp_path, learnt):
     rows = [f'{x:.4f},{y:.4f}' for x, y in 1e3 * TRACK.points]
     (tmp_path / 'in.csv').write_text('\n'.join(['x_mm,y_mm', *rows]) + '\n')
-    outcome = fuzzycnc('foam', 'compensate', 'in.csv', *SHEET, '--out', 'out.csv')
+    outcome = fuzzycnc('soft', 'compensate', 'in.csv', *SHEET, '--out', 'out.csv')
     assert outcome.code == 0, outcome.err
     table = list(csv.DictReader((tmp_path / 'out.csv').read_text().splitlines()))
     offset = [[float(row['offset_x_mm']), float(row['offset_y_mm'])] for row in table]
@@ -86,7 +86,7 @@ def test_learnt_offsets_of_other_stitches_are_refused(refused, tmp_path, learnt)
     rows = [f'{x:.4f},{y:.4f}' for x, y in 1e3 * TRACK.points[:40]]
     (tmp_path / 'in.csv').write_text('\n'.join(['x_mm,y_mm', *rows]) + '\n')
     naming = ['in.csv', 'model.json was learnt on', 'offsets of 81 points, not of 40']
-    refused('foam', 'compensate', 'in.csv', *SHEET, '--out', 'out.csv', naming=naming)
+    refused('soft', 'compensate', 'in.csv', *SHEET, '--out', 'out.csv', naming=naming)
     assert not (tmp_path / 'out.csv').exists()
 
 
@@ -95,12 +95,12 @@ def test_offsets_have_no_gains_to_adapt(refused, tmp_path, learnt):
         'direction_deg,depth_mm,type,step_mm,thickness_mm,s_x_mm,s_y_mm\n0,6,2,3,15,1,1\n'
     )
     options = ('s.csv', '--adapt', 'model.json', '--out', 'm.json')
-    refused('foam', 'train', *options, naming=['model.json', 'offsets of one track'])
+    refused('soft', 'train', *options, naming=['model.json', 'offsets of one track'])
 
 
 def test_a_program_is_compensated_as_its_path_is(fuzzycnc, tmp_path, model, program):
     options = ('--size', '150x100mm', '--out', 'out.ngc', '--json', 'out.json')
-    outcome = fuzzycnc('foam', 'compensate', 'quilt.ngc', *SHEET, *options)
+    outcome = fuzzycnc('soft', 'compensate', 'quilt.ngc', *SHEET, *options)
     assert outcome.code == 0, outcome.err
     text = (tmp_path / 'out.ngc').read_text()
     assert text.splitlines()[:4] == program[:4]
@@ -128,7 +128,7 @@ def test_a_list_of_stitches_keeps_its_other_columns(fuzzycnc, tmp_path, model):
     with open(tmp_path / 'in.csv', 'w', newline='') as file:
         csv.writer(file).writerows(rows)
     options = ('--size', '150x100mm', '--out', 'out.csv')
-    outcome = fuzzycnc('foam', 'compensate', 'in.csv', *SHEET, *options)
+    outcome = fuzzycnc('soft', 'compensate', 'in.csv', *SHEET, *options)
     assert outcome.code == 0, outcome.err
     with open(tmp_path / 'out.csv', newline='') as file:
         found = list(csv.DictReader(file))
@@ -146,7 +146,7 @@ def test_refused_steps_are_named_by_their_lines(fuzzycnc, tmp_path, model):
     text = 'G0 X40 Y40\nG1 X70 F900\nY70\nG2 X85 Y55 I15\nG1 X55\n'
     (tmp_path / 'in.ngc').write_text(text)
     outcome = fuzzycnc(
-        'foam', 'compensate', 'in.ngc', *SHEET, '--out', 'out.ngc', '--json', 'o.json'
+        'soft', 'compensate', 'in.ngc', *SHEET, '--out', 'out.ngc', '--json', 'o.json'
     )
     assert outcome.code == 0, outcome.err
     document = json.loads((tmp_path / 'o.json').read_text())
@@ -156,7 +156,7 @@ def test_refused_steps_are_named_by_their_lines(fuzzycnc, tmp_path, model):
     assert '54 stitches, 34 of them not compensated' in outcome.out
     # a program of which nothing can be compensated stays as it is
     (tmp_path / 'up.ngc').write_text('G0 X40 Y10\nG1 Y70 F900 (up)\nM30\n')
-    outcome = fuzzycnc('foam', 'compensate', 'up.ngc', *SHEET, '--out', 'same.ngc')
+    outcome = fuzzycnc('soft', 'compensate', 'up.ngc', *SHEET, '--out', 'same.ngc')
     assert outcome.code == 0, outcome.err
     assert (tmp_path / 'same.ngc').read_text() == (tmp_path / 'up.ngc').read_text()
 
@@ -164,7 +164,7 @@ def test_refused_steps_are_named_by_their_lines(fuzzycnc, tmp_path, model):
 def test_limited_steps_are_named(fuzzycnc, tmp_path, model):
     (tmp_path / 'in.ngc').write_text('G0 X40 Y0.5\nG1 X100 F900\n')
     outcome = fuzzycnc(
-        'foam', 'compensate', 'in.ngc', *SHEET, '--size', '150x100mm', '--out', 'out.ngc'
+        'soft', 'compensate', 'in.ngc', *SHEET, '--size', '150x100mm', '--out', 'out.ngc'
     )
     assert outcome.code == 0, outcome.err
     assert 'edge of the sheet' in outcome.out
@@ -172,7 +172,7 @@ def test_limited_steps_are_named(fuzzycnc, tmp_path, model):
 
 
 def test_standard_output_has_the_program_alone(fuzzycnc, model, program):
-    outcome = fuzzycnc('foam', 'compensate', 'quilt.ngc', *SHEET, '--out', '-')
+    outcome = fuzzycnc('soft', 'compensate', 'quilt.ngc', *SHEET, '--out', '-')
     assert outcome.code == 0
     assert outcome.out.splitlines()[:4] == program[:4]
     assert '80 stitches' in outcome.err
@@ -196,7 +196,7 @@ def test_standard_output_has_the_program_alone(fuzzycnc, model, program):
 )
 def test_bad_options_are_refused(refused, tmp_path, model, program, option, value, naming):
     arguments = ['quilt.ngc', *SHEET, '--out', 'out.ngc', option, value]
-    refused('foam', 'compensate', *arguments, naming=naming)
+    refused('soft', 'compensate', *arguments, naming=naming)
     assert not (tmp_path / 'out.ngc').exists()
 
 
@@ -221,6 +221,6 @@ def test_bad_options_are_refused(refused, tmp_path, model, program, option, valu
 )
 def test_bad_paths_are_refused(refused, tmp_path, model, name, text, naming):
     (tmp_path / name).write_text(text)
-    refused('foam', 'compensate', name, *SHEET, '--out', 'out', naming=naming)
+    refused('soft', 'compensate', name, *SHEET, '--out', 'out', naming=naming)
     assert not (tmp_path / 'out').exists()
-    refused('foam', 'compensate', 'nothing.ngc', *SHEET, '--out', 'out', naming=['nothing.ngc'])
+    refused('soft', 'compensate', 'nothing.ngc', *SHEET, '--out', 'out', naming=['nothing.ngc'])
