@@ -78,6 +78,21 @@ def test_fields_are_read_as_they_are_written():
         fields('compensations')
 
 
+PLOT = set(
+    'foxglovePanelTitle lichtblickPanelTitle paths isSynced legendDisplay showLegend '
+    'showPlotValuesInLegend showXAxisLabels showYAxisLabels xAxisVal sidebarDimension'.split()
+)
+"""Keys of a plot that Lichtblick 1.29 reads, and Foxglove's own key of the title."""
+
+
+def test_each_panel_is_titled_with_the_keys_that_both_viewers_read():
+    document = json.loads((ROOT / 'layouts' / 'lichtblick.json').read_text())
+    for name, panel in document['configById'].items():
+        if name.startswith('Plot!'):
+            assert panel['lichtblickPanelTitle'] == panel['foxglovePanelTitle'], name
+            assert panel.keys() <= PLOT, name
+
+
 def test_lichtblick_and_foxglove():
     document = json.loads((ROOT / 'layouts' / 'lichtblick.json').read_text())
     assert sorted(panels(document['layout'])) == sorted(document['configById'])
