@@ -26,7 +26,7 @@ from fuzzycnc_ros.cli.soft.compensate import compensate, read_model_file
 if TYPE_CHECKING:
     from fuzzycnc_ros.studies.soft.foam_records import Samples
 
-HELP = """Compensate patterns on soft material: show, train, compensate, learn.
+HELP = """Compensate patterns and designs on soft material: show, train, compensate, learn.
 
     fuzzycnc soft demo --report foam.html
     fuzzycnc soft train calibration --out model.json
