@@ -129,8 +129,7 @@ def identify(
             'between two samples; divide by 1000 if they are in millimetres',
             stacklevel=2,
         )
-    _, _, data = identify_axis([recording], force=force)
-    return data
+    return identify_axis([recording], force=force).data
 
 
 def tune(axis: AxisData, *, seed: int = 0, generations: int = 8, population: int = 6) -> AxisData:

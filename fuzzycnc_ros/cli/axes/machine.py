@@ -53,8 +53,9 @@ def identify(
         typer.Option(
             metavar='WHAT=NAME,...',
             show_default=False,
-            help='Columns: t, command and position of an axis; or t, commanded_X, actual_X, '
-            'commanded_Y, ... of axes that follow a path. Numbers where there is no header.',
+            help='Columns: t, command and position of an axis, and the reference that it '
+            'followed; or t, commanded_X, actual_X, commanded_Y, ... of axes that follow a path. '
+            'Numbers where there is no header.',
         ),
     ] = None,
     unit: Annotated[str, choice('Unit of the positions.', tuple(LENGTHS))] = 'mm',
@@ -157,6 +158,7 @@ def _drive_recordings(
                     sign * part.values['command'] / full,
                     metres * part.values['position'],
                     part.period,
+                    part.values.get('reference'),
                 )
             )
     if not found:
@@ -187,7 +189,7 @@ def _axis(
     sign: float,
     base: 'MachineData | None',
 ) -> 'tuple[MachineData, dict[str, Any]]':
-    from fuzzycnc_ros.core.identify.axis_data import identified_dead_time, identify_axis
+    from fuzzycnc_ros.core.identify.axis_data import identify_axis
     from fuzzycnc_ros.core.machine.machine_data import AxisData, MachineData
     from fuzzycnc_ros.studies.servo.identification_tables import (
         axis_fit_document,
@@ -197,17 +199,14 @@ def _axis(
 
     before = base.axes.get(axis, AxisData()) if base is not None else AxisData()
     with progress_bar('fitting') as tell:
-        fit, response, data = identify_axis(
-            stretches, force=force, direction=sign, before=before, progress=tell
-        )
-    dead_time = identified_dead_time(fit, response)
-    show(axis_fit_table(fit, response, dead_time, f'Axis {axis}'))
-    for line in axis_fit_remarks(fit, response, force):
+        found = identify_axis(stretches, force=force, direction=sign, before=before, progress=tell)
+    show(axis_fit_table(found, f'Axis {axis}'))
+    for line in axis_fit_remarks(found, force):
         remark(line)
     machine = base or MachineData(name=f'axis {axis}')
     return (
-        replace(machine, axes={**machine.axes, axis: data}),
-        axis_fit_document(fit, response, dead_time),
+        replace(machine, axes={**machine.axes, axis: found.data}),
+        axis_fit_document(found),
     )
 
 

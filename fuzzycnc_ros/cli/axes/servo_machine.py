@@ -59,7 +59,13 @@ def machine_axis(file: str, axis: str) -> tuple[MachineData, str, AxisData]:
     if not axis and len(known) > 1:
         raise ValueError(f'--axis: expected one of {", ".join(known)} but found none')
     name = axis or known[0]
-    return machine, name, machine.axes[name]
+    data = machine.axes[name]
+    if data.knowledge.not_fit_for_control:
+        raise ValueError(
+            f'{file}: axes.{name}: expected a model that is fit for control but found one that is '
+            f'marked `not_fit_for_control`: {data.knowledge.not_fit_for_control}'
+        )
+    return machine, name, data
 
 
 def own_controller(data: AxisData, params: Path | None) -> str:
