@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
+from fuzzycnc_ros.cli.axes.excite import excite
 from fuzzycnc_ros.cli.completion import word_or_file
 from fuzzycnc_ros.cli.console import (
     JsonFile,
@@ -286,6 +287,7 @@ HELP = """Write down what is known of your machine, in one file for all commands
     fuzzycnc machine new mill.yaml --linuxcnc-ini mill.ini
     fuzzycnc machine show mill.yaml
     fuzzycnc machine check mill.yaml
+    fuzzycnc machine excite x.ngc --machine-file mill.yaml --axis X
     fuzzycnc machine identify drive.csv --columns command=duty,position=pos --out axis.yaml
 
 `schedule`, `pareto`, `position`, `servo`, `up` and the nodes take it as --machine-file.
@@ -426,6 +428,7 @@ def check(file: File, json_file: JsonFile = None) -> None:
 COMMANDS: dict[str, Callable[..., Any]] = {
     'new': new,
     'show': show_machine,
+    'excite': excite,
     'identify': identify,
     'check': check,
 }

@@ -29,7 +29,7 @@ from fuzzycnc_ros.core.machine.machine_data import AxisData
 _ROOM = 1.1
 """What limits are above what was recorded [-]."""
 
-_UNFIT = 0.5
+_UNFIT = 0.7
 """Share of the acceleration that no model explains from which it is not fit for control [-]."""
 
 _HELD = 0.15
@@ -39,6 +39,9 @@ of the way as share of the drive [-]."""
 
 _KNOWN_TO = 4.0
 """Frequency up to which a response has to be known at least [Hz]."""
+
+_FOLLOWS = 40.0
+"""Rate of viscous friction from which the speed follows the command at once [1/s]."""
 
 _OCTAVE_PARTS = 2
 """Frequencies of an octave for which the remainder is written down."""
@@ -112,7 +115,7 @@ def identify_axis(
     if linear is not None:
         delay = linear.model.delay
         if linear.gain.high < 2.0 * linear.gain.low:
-            gain = 0.98 * linear.gain.low, 1.02 * linear.gain.high
+            gain = 0.92 * linear.gain.low, 1.08 * linear.gain.high
     fit = fit_axis([late(one, delay) for one in recordings], progress, gain=gain)
     data = _machine_data(fit, linear, recordings, force=force, direction=direction, before=before)
     return IdentifiedAxis(fit, response, linear, data, recordings[0].period)
@@ -169,11 +172,13 @@ def _machine_data(
         limits = replace(
             limits,
             velocity=min(max(_ROOM * speed, 1e-4), 100.0),
-            acceleration=max(0.4 * model.gain, 1e-3),
+            acceleration=min(max(0.4 * model.gain, 1e-3), 1e4),
             travel_low=middle - half,
             travel_high=middle + half,
         )
-    unexplained, spring = _unexplained(recordings, plant.delay)
+    delay = linear.model.delay if linear is not None else 0.0
+    speed_follows = linear is not None and linear.model.viscous > _FOLLOWS
+    unexplained, spring = _unexplained(recordings, delay, plant.mode, speed_follows=speed_follows)
     knowledge = AxisKnowledge(unexplained=unexplained)
     if linear is not None:
         knowledge = replace(
@@ -206,7 +211,7 @@ def _not_fit(linear: ResponseFit | None, unexplained: float, spring: float) -> s
     if unexplained > _UNFIT:
         return (
             f'{100.0 * unexplained:.0f} % of the acceleration is unexplained: check columns, unit '
-            f'and --reversed, or {record}'
+            f'and direction, or {record}'
         )
     return ''
 
@@ -220,8 +225,13 @@ def _count(recordings: Sequence[AxisRecording]) -> float:
     return float(np.median(moved[moved < 1.5 * least]))
 
 
-def _unexplained(recordings: Sequence[AxisRecording], delay: float) -> tuple[float, float]:
+def _unexplained(
+    recordings: Sequence[AxisRecording], delay: float, mode: float, *, speed_follows: bool
+) -> tuple[float, float]:
     """Return the share of the acceleration that a rigid axis with friction leaves unexplained.
+
+    A known mode is smoothed away.  Where the speed follows the command at once it is the share of
+    the speed.
 
     Returns
     -------
@@ -233,7 +243,8 @@ def _unexplained(recordings: Sequence[AxisRecording], delay: float) -> tuple[flo
     """
     rows, targets = [], []
     for one in recordings:
-        window = max(5, min(61, 2 * (len(one.position) // 20) + 1))
+        wide = max(61, 2 * round(1.5 / (mode * one.period)) + 1) if mode else 61
+        window = max(5, min(wide, 2 * (len(one.position) // 20) + 1))
         speed = savgol_filter(one.position, window, 3, deriv=1, delta=one.period)
         rise = savgol_filter(one.position, window, 3, deriv=2, delta=one.period)
         # filtered as the position is, so that both are equally late
@@ -241,9 +252,10 @@ def _unexplained(recordings: Sequence[AxisRecording], delay: float) -> tuple[flo
         command = savgol_filter(_twice_summed(acted), window, 3, deriv=2)
         moving = np.abs(speed) > 0.03 * np.abs(speed).max()
         place = one.position - one.position.mean()
-        sides = np.column_stack([command, -speed, -np.sign(speed), -np.ones(len(speed)), -place])
+        lost, target = (0.0 * speed, speed) if speed_follows else (-speed, rise)
+        sides = np.column_stack([command, lost, -np.sign(speed), -np.ones(len(speed)), -place])
         rows.append(sides[moving])
-        targets.append(rise[moving])
+        targets.append(target[moving])
     sides, target = np.concatenate(rows), np.concatenate(targets)
     if len(target) < 10 * _BLOCKS:
         return 1.0, 0.0

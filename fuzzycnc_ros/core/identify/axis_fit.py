@@ -141,6 +141,11 @@ _BLOCKS = 20
 _SHORT = 10
 """Stretches into which a recording is cut where structures compete: a fit that needs no start."""
 
+_FOLLOWS, _SPEED_RATE = 0.5, 50.0
+"""Correlation of command and speed from which the one follows the other at once [-], and the rate
+at
+which it is then taken to do so at first [1/s]."""
+
 _HORIZONS = (20, 5, 1)
 """Stretches into which a recording is cut for the fit to all data, which heeds all alike.
 
@@ -424,7 +429,7 @@ def inverse_dynamics(recordings: Sequence[AxisRecording]) -> AxisModel:
     ValueError
         If a positive command does not drive to positive positions.
     """
-    rows, targets = [], []
+    rows, targets, speeds = [], [], []
     for one in recordings:
         window = max(5, min(81, 2 * (len(one.position) // 20) + 1))
         speed = savgol_filter(one.position, window, 3, deriv=1, delta=one.period)
@@ -436,8 +441,15 @@ def inverse_dynamics(recordings: Sequence[AxisRecording]) -> AxisModel:
             np.column_stack([command, -speed, -np.sign(speed), -np.ones(len(speed))])[moving]
         )
         targets.append(rise[moving])
+        speeds.append(speed[moving])
     found, *_ = np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=None)
     gain, viscous, coulomb, offset = found.tolist()
+    if gain <= 0.0:
+        # The flow of a valve, and a drive with a velocity loop, command the speed.
+        command, speed = np.concatenate(rows)[:, 0], np.concatenate(speeds)
+        if float(command @ speed) > _FOLLOWS * sqrt(float((command @ command) * (speed @ speed))):
+            gain = _SPEED_RATE * float(command @ speed) / float(command @ command)
+            viscous, coulomb, offset = _SPEED_RATE, 0.0, 0.0
     if gain <= 0.0:
         raise ValueError(
             'command: expected a positive command to drive to positive positions but found the '

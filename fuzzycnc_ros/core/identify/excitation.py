@@ -12,7 +12,7 @@ import numpy as np
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.servo.profile import ProfileLimits, point_to_point
 
-REST = 0.25
+_REST = 0.25
 """Rest between two moves [s]."""
 
 _MOVES = (0.30, -0.30, 0.08, -0.16, 0.02, 0.06, -0.02, 0.005, -0.005, -0.14, 0.02, 0.05)
@@ -25,8 +25,8 @@ _CARRIER, _SWING = 0.3, 0.25
 """Speed of the slow motion that carries the chirp, and of the chirp, over the largest: an axis
 that does not come to rest shows its spring and its dead time, not its friction."""
 
-_RISE = 0.6
-"""Acceleration of the chirp as share of the largest [-]."""
+_RISE, _TURN = 0.6, 0.35
+"""Accelerations of the chirp and of the carrier's turns, as share of the largest [-]."""
 
 _SPAN = 0.3
 """Way of the carrier as share of the travel [-]."""
@@ -100,7 +100,7 @@ def position_program(limits: ExcitationLimits, period: float) -> Array:
     travel = limits.high - limits.low
     middle = limits.low + 0.5 * travel
     place, parts = middle, []
-    rest = round(REST / period)
+    rest = round(_REST / period)
     for number, share in enumerate(_MOVES):
         pace = _PACES[number % len(_PACES)]
         parts += [np.full(rest, place), _move(place, share * travel, limits, pace, period)]
@@ -140,7 +140,7 @@ def duty_program(limits: ExcitationLimits, period: float) -> Array:
     phase, _ = chirp(1.0, limits.frequency, limits.seconds, period)
     time = period * np.arange(len(phase))
     steps = half * np.sign(np.sin(pi * time / length + 0.5 * pi))
-    pairs = [np.zeros(round(REST / period))]
+    pairs = [np.zeros(round(_REST / period))]
     for share in (1.0, 0.6, 0.3):
         size = round(length / period)
         pulse = np.repeat([1.0, -1.0, -1.0, 1.0, 0.0], size)
@@ -166,6 +166,9 @@ def _chirp_on_carrier(middle: float, limits: ExcitationLimits, period: float) ->
     # back and forth at a steady speed, with rounded ends
     span = min(_SPAN * (limits.high - limits.low), 1.5 * _CARRIER * limits.velocity)
     beat = 2.0 * span / (_CARRIER * limits.velocity)
+    # so round that the turn takes no more acceleration than its share
+    sharp = _TURN * limits.acceleration * span / (pi * (_CARRIER * limits.velocity) ** 2)
+    sharp = min(sharp / (1.0 + sharp * sharp) ** 0.5, 0.98)
     turn = 2.0 * pi * np.arange(len(phase)) * period / beat
-    carrier = (span / pi) * np.arcsin(0.98 * np.sin(turn))
+    carrier = (span / pi) * np.arcsin(sharp * np.sin(turn))
     return np.asarray(middle + fade * (carrier + swing * np.sin(phase)))

@@ -148,7 +148,7 @@ _MODE = (*_RIGID, 'mode', 'damping', 'ratio')
 _LOGS = ('gain', 'viscous', 'mode', 'damping')
 _BOUNDS = {
     'gain': (1e-4, 1e6),
-    'viscous': (1e-4, 1e5),
+    'viscous': (1e-4, 600.0),
     'delay': (0.0, DEAD_TIME_MAX),
     'mode': (0.1, 1e4),
     'damping': (2e-3, 0.5),

@@ -67,6 +67,9 @@ class AxisLimits(Config):
         low=0.0,
         high=1e4,
     )
+    vertical: bool = param(
+        False, '-', 'Whether its own weight pulls the axis: it drops where the drive gives way'
+    )
     load: float = param(
         0.12, '-', 'Largest steady load either way, as share of full duty', low=0.0, high=1.0
     )
@@ -369,6 +372,10 @@ def _axis_data(place: str, entries: Mapping[str, str]) -> AxisData:
 
 def _value(place: str, text: str, default: Any) -> Any:
     """Return a value in the type of its default."""
+    if isinstance(default, bool):
+        if text not in ('True', 'False'):
+            raise ValueError(f'{place}: expected True or False but found {text!r}')
+        return text == 'True'
     try:
         return type(default)(text)
     except ValueError:

@@ -8,9 +8,15 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from math import inf, isfinite, nan
 
+from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits, FeedbackWatch
 from fuzzycnc_ros.core.servo.friction import ReferenceFriction
+
+_TAKEN_BACK, _LEAST = 0.5, 0.2
+"""Share of the gain that a loop which is unstable goes on with, and what it has to have left
+before
+the last such step [-]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +84,9 @@ class AxisController(ABC):
     friction : tuple of float
         Duty [-] that Coulomb friction takes in positive and in negative motion, not negative; it
         is fed forward.
+    keeps_gain : bool
+        Whether a swing that grows is a fault at once, as on a vertical axis, which less gain would
+        drop; else gain is taken back where less of it is stable.
 
     Raises
     ------
@@ -93,6 +102,7 @@ class AxisController(ABC):
         duty_slew: float = inf,
         limits: FeedbackLimits | None = None,
         friction: tuple[float, float] = (0.0, 0.0),
+        keeps_gain: bool = False,
     ) -> None:
         if not 0.0 < duty_max <= 1.0:
             raise ValueError(f'duty_max: expected more than 0, at most 1, but found {duty_max}')
@@ -113,9 +123,16 @@ class AxisController(ABC):
             abs(axis.gain),
             duty_max,
         )
+        self._keeps_gain = keeps_gain
+        self._share = 1.0  # of the gain
         self._duty = 0.0
         self._saturated = False
         self._at: float | None = None
+
+    @property
+    def taken_back(self) -> bool:
+        """Whether gain was taken back since the reset, as the loop was unstable."""
+        return self._share < 1.0
 
     def reset(self, position: float | None = None, duty: float = 0.0) -> None:
         """Start anew and clear faults.
@@ -137,6 +154,7 @@ class AxisController(ABC):
             raise ValueError(f'reset: expected finite numbers but found {position} m and {duty}')
         self._duty = min(max(duty, -self.duty_max), self.duty_max)
         self._saturated = False
+        self._share = 1.0
         self._at = position
         self.watch.reset(position)
         if position is not None:
@@ -178,6 +196,10 @@ class AxisController(ABC):
         if self._at is None:
             self._at = position
             self._begin(position)
+        if watch.swing.grows:
+            self._take_back()
+        if self._share < 1.0:  # as on an axis of less gain
+            position = reference - self._share * (reference - position)
         wanted = self._wanted(reference, position, velocity, acceleration)
         top = self.duty_max
         duty = top if wanted > top else -top if wanted < -top else wanted
@@ -201,6 +223,29 @@ class AxisController(ABC):
         if self._known is not None:
             self._known.reset()
         self._restart(position, self._duty)
+
+    def _take_back(self) -> None:
+        """Take gain back where less of it is stable; else give up."""
+        swing = self.watch.swing
+        if self._keeps_gain or self._share < _LEAST:
+            self.watch.give_up_unstable()
+            return
+        self._share *= _TAKEN_BACK
+        swing.start_over()
+
+    @abstractmethod
+    def feedback_law(self) -> tuple[Array, Array, Array, float]:
+        """Return the law from reading to duty near the target, where it is linear.
+
+        Returns
+        -------
+        inner : ndarray, shape (k, k)
+            Transition of the law's own states in a period.
+        entry, row : ndarray, shape (k,)
+            What a reading adds to them, and what duty they give.
+        direct : float
+            Duty that a reading gives at once [1/m].
+        """
 
     @property
     @abstractmethod

@@ -287,10 +287,14 @@ class FeedbackWatch:
             self.fault = self._unstable() if self._swings_already else reason
         return False
 
+    def give_up_unstable(self) -> None:
+        """Give up, as the loop is unstable."""
+        self.fault = self._unstable()
+
     @property
     def _swings_already(self) -> bool:
         """Whether the loop was seen to be unstable, of which other symptoms follow."""
-        return self.swing.grows or self._swings >= _SWINGS_BEFORE_LOSS
+        return self.swing.frequency > 0.0 or self._swings >= _SWINGS_BEFORE_LOSS
 
     def _unstable(self) -> str:
         """Return the fault of an unstable loop, with its frequency."""

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from math import log
+from fuzzycnc_ros.core import portable
 
 _SLOW = 0.15
 """Time over which the mean of the error is taken [s]: what is slower is no swing."""
@@ -69,6 +69,11 @@ class GrowingSwing:
         self._fresh = 2
         self._start_over()
 
+    def start_over(self) -> None:
+        """Look for a swing that grows anew; frequency and rate of the last one stay."""
+        self.grows = False
+        self._start_over()
+
     def _start_over(self) -> None:
         self._side = self._length = self._last_length = self._halves = 0
         self._peak = self._last_peak = self._first = 0.0
@@ -101,7 +106,7 @@ class GrowingSwing:
         length, size = self._length + self._last_length, self._peak + self._last_peak
         before, smaller = self._swing
         alike = length < _ALIKE * before and before < _ALIKE * length
-        if self._driven or not alike or size < _GROWS * smaller or length < 4:
+        if self._driven or not alike or not smaller or size < _GROWS * smaller or length < 4:
             self._halves, self._first = 0, size
             self.grows = self.grows and size > _DIES * smaller
         else:
@@ -114,7 +119,7 @@ class GrowingSwing:
             if self.grows:
                 time = self._period * length
                 self.frequency = 1.0 / time
-                self.rate = 2.0 * log(size / self._first) / (self._halves * time)
+                self.rate = 2.0 * portable.log(size / self._first) / (self._halves * time)
         self._swing = length, size
         self._last_length, self._last_peak = self._length, self._peak
         self._side, self._length, self._peak, self._driven = side, 0, 0.0, False

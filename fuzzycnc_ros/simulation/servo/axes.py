@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import fields, replace
-from math import copysign, inf, isfinite, nan, pi
+from math import copysign, inf, isfinite, nan, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -441,7 +441,7 @@ class ModalSwing:
     def __init__(self, config: BallscrewAxisConfig) -> None:
         rate, period = 2.0 * pi * config.mode, config.period
         decay = config.mode_damping * rate
-        damped = rate * (1.0 - config.mode_damping * config.mode_damping) ** 0.5 or 1e-9
+        damped = rate * sqrt(1.0 - config.mode_damping * config.mode_damping) or 1e-9
         keep = portable.exp(-decay * period)
         sine, cosine = portable.sin(damped * period), portable.cos(damped * period)
         self._rows = (

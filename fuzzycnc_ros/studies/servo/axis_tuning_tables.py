@@ -43,13 +43,21 @@ def axis_tuning_table(found: AxisTuning, axis: str) -> Table:
         )
         ratio, spread = one.against(found.best)
         against = 'best' if one is found.best else f'x{ratio:.2f} ({spread:.2f})'
-        rows.append((LABELS[one.name], *figures, f'{one.faults} of {len(one.held_out)}', against))
+        if not one.robust:
+            against += ', no margin'
+        label = LABELS[one.name]
+        if found.controllers[0].trials and not one.trials:
+            label += ', untuned'
+        rows.append((label, *figures, f'{one.faults} of {len(one.held_out)}', against))
         if one.faults:
             warning.add((place, 4))
+        if not one.robust:
+            warning.add((place, 5))
     winner = found.controllers.index(found.winner)
     return Table(
         f'{axis}: medians of {len(found.held_out)} cases that nothing was tuned on, after '
-        f'{found.winner.trials} trials each; in parentheses the factor of one standard error',
+        f'{found.controllers[0].trials} trials each; in parentheses the factor of one standard '
+        'error',
         columns,
         tuple(rows),
         highlight=frozenset({winner}),
@@ -97,7 +105,9 @@ def axis_tuning_remarks(found: AxisTuning) -> list[Remark]:
 
 def _fuzzy(found: AxisTuning) -> Remark:
     """Return what the rules are worth beside their own tangent."""
-    one: dict[str, TunedController] = {item.name: item for item in found.controllers}
+    one: dict[str, TunedController] = {}
+    for item in found.controllers:
+        one.setdefault(item.name, item)
     ratio, spread = one['linear_tangent'].against(one['variable_universe'])
     if max(ratio, 1.0 / ratio) <= spread**2:
         return Remark('the rules and their linear tangent are equal here, but for chance')

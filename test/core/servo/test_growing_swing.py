@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """An oscillation that grows is found, with frequency and rate; what a reference does is none."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from two_mass_axis import TwoMassAxis, TwoMassConfig
@@ -11,6 +13,7 @@ from fuzzycnc_ros.core.machine.machine_data import AxisData, AxisLimits
 from fuzzycnc_ros.core.servo.axis_control import make_axis_controller
 from fuzzycnc_ros.core.servo.growing_swing import GrowingSwing
 from fuzzycnc_ros.core.servo.profile import ProfileLimits, point_to_point
+from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
 from fuzzycnc_ros.simulation.servo.positioning import position
 
 PERIOD = 1e-3
@@ -56,6 +59,42 @@ def test_noise_is_no_swing():
 def test_what_the_reference_does_back_and_forth_is_no_swing():
     course = 1e-2 * TIME * np.sin(20.0 * TIME)
     assert not watched(0.1 * course, course)[1]
+
+
+STRONG = BallscrewAxisConfig(delay=2e-3, count=1e-6)
+
+
+def moved(name, factor, *, vertical=False):
+    """Move an axis that is stronger by a factor than its controller knows."""
+    data = AxisData(limits=AxisLimits(vertical=vertical), plant=STRONG)
+    controller = make_axis_controller(data, name, {'bandwidth': 2.0})
+    limits = ProfileLimits(velocity=0.2, acceleration=1.0, jerk=20.0)
+    way = point_to_point(0.0, 0.05, limits).sample(PERIOD)
+    plant = BallscrewAxis(replace(STRONG, gain_factor=factor))
+    return controller, position(controller, plant, way, 2.0)
+
+
+@pytest.mark.parametrize(('name', 'factor'), [('pid', 3.0), ('variable_universe', 2.0)])
+def test_gain_is_taken_back_before_a_fault(name, factor):
+    controller, run = moved(name, factor)
+    assert controller.taken_back
+    assert not run.fault
+    assert np.abs(run.error[-300:]).max() < 5e-6
+    controller.reset(0.0)
+    assert not controller.taken_back
+
+
+def test_a_loop_that_is_stable_keeps_its_gain():
+    controller, run = moved('pid', 1.0)
+    assert not controller.taken_back
+    assert not run.fault
+
+
+def test_a_vertical_axis_stops_instead():
+    controller, run = moved('pid', 3.0, vertical=True)
+    assert not controller.taken_back
+    assert 'unstable' in run.fault
+    assert run.duty[-1] == 0.0
 
 
 def test_an_unstable_loop_is_named_as_one():
