@@ -19,6 +19,7 @@ nodes = [
     'opcua_bridge',
     'opcua_server',
     'player',
+    'probe_cycle',
     'recorder',
     'sensor_selector',
     'servo_controller',
@@ -64,6 +65,7 @@ setup(
             'machine_file/built_in/*.yaml',
             'ros/*.xml',
             'studies/page/templates/*',
+            'adapters/probing/programs/*',
             'web/static/*',
             'web/vendor/*/*',
         ]

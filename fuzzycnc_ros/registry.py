@@ -10,6 +10,7 @@ from fuzzycnc_ros.components.machine.simulated_body import SimulatedBody
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachine
 from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.components.motion.joint_trajectory_bridge import JointTrajectoryBridge
+from fuzzycnc_ros.components.probing.probe_cycle import ProbeCycle
 from fuzzycnc_ros.components.servo.servo_controller import ServoController
 from fuzzycnc_ros.components.soft.deformation_compensator import DeformationCompensator
 from fuzzycnc_ros.components.thermal.compensator import Compensator
@@ -29,6 +30,7 @@ COMPONENTS: dict[str, type[Component[Any]]] = {
         OpcuaBridge,
         SimulatedBody,
         TemperatureAcquisition,
+        ProbeCycle,
         SensorSelector,
         ThermalPredictor,
         Compensator,

@@ -97,8 +97,8 @@ class ControllerBridgeNode(ManagedComponentNode, ABC):
         super().on_heard(topic, sequence_number)
         if not self.settings.lockstep:
             # A command says when it takes effect; it is handed over as it comes.
-            newest = self.merger.counts['compensation'].newest
-            self.work(max(self.merger.time, newest or 0))
+            newest = max(item.newest or 0 for item in self.merger.counts.values())
+            self.work(max(self.merger.time, newest))
             self._on_timer()
 
     def _on_timer(self) -> None:
@@ -112,6 +112,7 @@ class ControllerBridgeNode(ManagedComponentNode, ABC):
         try:
             controller = self._controller or self._connect()
             orders = self.component.orders if self._claimed else None
+            controller.probe_due = self.component.probe_due
             if self._claimed and orders is None:
                 controller.release()
                 self._claimed = False

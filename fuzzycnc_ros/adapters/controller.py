@@ -34,6 +34,12 @@ class Readout:
     """Offsets in force: the read-back [m]."""
     spindle_speed: float = np.nan
     """Positive clockwise seen from the spindle [rad/s]."""
+    coolant: bool | None = None
+    """Whether flood or mist is on; None where the controller does not tell."""
+    spindle_load: float = np.nan
+    """Load of the spindle drive; 1 is its rated one [-]."""
+    probe: tuple[float, float] | None = None
+    """Code and number that a probing cycle told last; see `adapters/probing/programs.py`."""
 
     @property
     def obstacle(self) -> str:
@@ -56,7 +62,14 @@ class Controller(ABC, Generic[StatusT, OrdersT, LimitsT]):
     All methods but `close` raise `LinkError` if the controller is not there any more, refuses, or
     says what cannot be true; the text tells the operator what to do.  The connection is closed
     then, and a new one is made.
+
+    Attributes
+    ----------
+    probe_due : bool
+        Whether the control is shown that a probing cycle is due, from the next call on.
     """
+
+    probe_due = False
 
     @abstractmethod
     def read(self) -> StatusT | None:

@@ -9,16 +9,18 @@ the read-back, never the command.
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
 from fuzzycnc_ros.adapters.controller import Readout
+from fuzzycnc_ros.adapters.probing.touches import touch_of
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.inputs.offset_input import OffsetInput, OffsetInputConfig
 from fuzzycnc_ros.core.inputs.offsets import AXES, describe
 from fuzzycnc_ros.runtime.component import (
+    LATCHED,
     Answer,
     Component,
     Emission,
@@ -27,7 +29,7 @@ from fuzzycnc_ros.runtime.component import (
     Level,
     Output,
 )
-from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
+from fuzzycnc_ros.runtime.enums import AppliedStatus, Coolant, MachineMode
 from fuzzycnc_ros.runtime.records import (
     Bools,
     Compensation,
@@ -35,6 +37,8 @@ from fuzzycnc_ros.runtime.records import (
     Floats,
     MachineState,
     Names,
+    ProbeCycleState,
+    ProbeTouch,
     nanoseconds,
 )
 
@@ -100,11 +104,17 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
 
     CONTROLLER: ClassVar[str]
     """What the controller is called in messages."""
+    PROBE_OFFSET: ClassVar[bool] = False
+    """Whether coordinates of a probing cycle contain the offset in force."""
     CONFIG = ControllerBridgeConfig
-    INPUTS = (Input('compensation', Compensation, sole=True),)
+    INPUTS = (
+        Input('compensation', Compensation, sole=True),
+        Input('probe_cycle_state', ProbeCycleState, LATCHED, paced=False),
+    )
     OUTPUTS = (
         Output('machine_state', MachineState),
         Output('compensation_applied', CompensationApplied),
+        Output('probe_touch', ProbeTouch),
     )
     MANAGED = True
     MACHINE_SIDE = True
@@ -132,6 +142,17 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         self._apart_since: int | None = None
         self._told: dict[str, tuple[int, tuple[Any, ...]]] = {}
         self._orders: OrdersT | None = None
+        self._travel = np.zeros(len(self._axes))
+        """Distance that each axis has moved, shape (axes,) [m]."""
+        self._square_speed = np.zeros(len(self._axes))
+        """Integral of its squared speed, shape (axes,) [m2/s]."""
+        self._seen_at: tuple[int, Floats] | None = None
+        """Time and position of the cycle before, to know the way since."""
+        self._probe: tuple[float, float] | None = None
+        self._probe_told: float | None = None
+        self._touched_at = 0
+        self.probe_due = False
+        """Whether the control shall be shown that a probing cycle is due."""
 
     @property
     def orders(self) -> OrdersT | None:
@@ -176,6 +197,10 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         if self._active and self._leads and self._command(command):
             self._adopted, self._uncommanded = None, 0
 
+    def on_probe_cycle_state(self, state: ProbeCycleState) -> None:
+        """Note whether a probing cycle is due."""
+        self.probe_due = state.due
+
     def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
         """`activate` starts from the read-back; `deactivate` ramps to zero first."""
         if name == 'activate':
@@ -196,7 +221,7 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         self._work_at(stamp)
         if not self._absent:
             self._told = {}
-        self._status, self._absent = None, why
+        self._status, self._absent, self._seen_at = None, why, None
         self._count_uncommanded()
         self._holding, self._orders, self._apart_since = False, None, None
         self._forget()
@@ -309,15 +334,19 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         self._ahead = max(self._ahead, self._time - stamp)
         self._stamp, self._time = stamp, stamp + self._ahead
 
-    def _adopting(self, offset: Floats, epoch: int = 0) -> OffsetInput:
-        """Return an offset input that has `offset` [m] in force now."""
-        config = OffsetInputConfig(
+    @property
+    def _limits(self) -> OffsetInputConfig:
+        """Limits of the offsets in force."""
+        return OffsetInputConfig(
             offset_max=self._config.offset_max,
             slew_max=self._slew_max,
             lead_max=self._config.lead_max,
             validity_max=self._config.validity_max,
         )
-        fresh = OffsetInput(self._places, config, start=self._time, step_max=self._step_max)
+
+    def _adopting(self, offset: Floats, epoch: int = 0) -> OffsetInput:
+        """Return an offset input that has `offset` [m] in force now."""
+        fresh = OffsetInput(self._places, self._limits, start=self._time, step_max=self._step_max)
         self._count_uncommanded()
         if self._holding:
             self._adopted = self._time
@@ -357,11 +386,22 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         return True
 
     def _tell(self, status: StatusT, why: str) -> Iterator[Emission]:
+        yield from self._touched(status)
+        self._move(status.position)
         code, reason = self._verdict(status, why)
         allowed = self._active and not why
         if self._due('machine_state', (status.mode, status.homed, allowed)):
-            state = self._state(
-                status.mode, status.homed, status.position, status.spindle_speed, allowed
+            coolant = Coolant.UNKNOWN
+            if status.coolant is not None:
+                coolant = Coolant.ON if status.coolant else Coolant.OFF
+            state = replace(
+                self._state(
+                    status.mode, status.homed, status.position, status.spindle_speed, allowed
+                ),
+                coolant=int(coolant),
+                spindle_load=status.spindle_load,
+                travel=self._travel.copy(),
+                square_speed=self._square_speed.copy(),
             )
             yield Emission('machine_state', state)
         limited = self._limited(status)
@@ -374,6 +414,36 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         if self._due('applied', (cause, offsets), spacing):
             told = self._applied(code, reason, status.applied, limited)
             yield Emission('compensation_applied', told)
+
+    def _move(self, position: Floats) -> None:
+        """Add what the axes have moved since the cycle before."""
+        before, self._seen_at = self._seen_at, (self._time, position.copy())
+        if before is None or self._time <= before[0]:
+            return
+        step, elapsed = position - before[1], 1e-9 * (self._time - before[0])
+        self._travel = self._travel + np.abs(step)
+        self._square_speed = self._square_speed + step * step / elapsed
+
+    def _touched(self, status: StatusT) -> Iterator[Emission]:
+        """Yield what a probing cycle tells, once; what stands at first is of an older one.
+
+        A code is believed when it is seen again: what is read with it then was written before.
+        """
+        before, self._probe = self._probe, status.probe
+        if status.probe is None or before is None:
+            return
+        code = status.probe[0]
+        if code != before[0] or code == self._probe_told:
+            return
+        first, self._probe_told = self._probe_told is None, code
+        if first:
+            return
+        # A clock that goes in steps may stand still between two touches.
+        self._touched_at = max(self._stamp, self._touched_at + 1)
+        frame = self.frame('machine')
+        touch = touch_of(self._touched_at, frame, *status.probe, includes_offset=self.PROBE_OFFSET)
+        if touch is not None:
+            yield Emission('probe_touch', touch)
 
     def _limited(self, status: StatusT) -> Bools:
         """Whether any limit cuts the offset of each axis."""

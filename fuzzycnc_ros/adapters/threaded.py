@@ -126,6 +126,7 @@ class ThreadedController(Controller[StatusT, OrdersT, LimitsT]):
             return
         if claims:
             controller.claim()
+        controller.probe_due = self.probe_due
         status = controller.read() if orders is None else controller.write(orders)
         limits = controller.limits()
         with self._lock:

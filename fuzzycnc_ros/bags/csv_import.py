@@ -253,6 +253,9 @@ def _doubts(
             for item in lone:
                 readings = true[item.row :, item.column]
                 readings[np.flatnonzero(np.isfinite(readings))[: item.held]] = np.nan
+            # What may warm faster than metal says nothing of the machine's pace.
+            own = SensorLimits.of(mapping.sensor_limits).values('rate_max', sensors, np.nan)
+            true[:, np.isfinite(own)] = np.nan
             doubts += _time_line(mapping, recording, true)
     columns = [channel.column for channel in mapping.channels]
     doubts += _lone_lines(table, sensors, lone, 1.0, 'degC')

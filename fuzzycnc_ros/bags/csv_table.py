@@ -31,9 +31,10 @@ from fuzzycnc_ros.bags.csv_time import (
     seconds_of,
     zone_of,
 )
-from fuzzycnc_ros.bags.errors import CsvError
+from fuzzycnc_ros.bags.errors import BagError, CsvError
 from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.core.names import repeated_names
+from fuzzycnc_ros.core.remedies import options_as
 from fuzzycnc_ros.core.thermal.run import JITTER_MAX, SAMPLES_MIN
 from fuzzycnc_ros.core.thermal.spacing import sample_interval
 from fuzzycnc_ros.core.units import TIMES
@@ -627,3 +628,32 @@ def _is_utf8(data: bytes) -> bool:
     except UnicodeDecodeError:
         return False
     return True
+
+
+def read_sensor_table(
+    path: Path, time_column: str
+) -> tuple[tuple[str, ...], NDArray[np.float64], NDArray[np.float64], str]:
+    """Read a table of a time column [s], or of dates, and one column per sensor [degC].
+
+    Returns
+    -------
+    tuple
+        Names of the sensors, times [s], temperatures [degC], shape (n, k), and the zone that dates
+        without one were read in, empty if there are none.
+
+    Raises
+    ------
+    BagError
+        If it cannot be read; whatever else a table may need is an option of the command that makes
+        a bag of it.
+    """
+    with options_as('`fuzzycnc import-csv --{}`'.format):
+        table = read_table(path)
+        table.require([time_column])
+        sensors = tuple(name for name in table.header if name != time_column)
+        if not sensors:
+            raise BagError(f'{path}: expected a column for each sensor beside {time_column!r}')
+        times = table.time(time_column, 's')
+        start = times.date or 0.0 if times.form else float(table.column(time_column)[0])
+        values = np.stack([table.column(name) for name in sensors], axis=1)
+    return sensors, start + times.seconds, values, times.zone.name if times.zone else ''

@@ -26,6 +26,8 @@ from fuzzycnc_ros.bags.typestore import (
     deserialize,
     ensure_type,
     message_definition,
+    message_type,
+    serialize,
     type_hash,
     typestore,
 )
@@ -38,6 +40,8 @@ Step = Callable[[bytes, int], tuple[Any, int]]
 _HEAD = b'\x00\x01'  # CDR, little endian
 _LENGTH = struct.Struct('<I')
 _STAMP = struct.Struct('<iI')
+_DISPLACEMENT = 'fuzzycnc_msgs/msg/Displacement'
+_MACHINE_STATE = 'fuzzycnc_msgs/msg/MachineState'
 _TIME, _HEADER = 'builtin_interfaces/msg/Time', 'std_msgs/msg/Header'
 _TIME_FIELDS = [('sec', (BASE, ('int32', 0))), ('nanosec', (BASE, ('uint32', 0)))]
 _HEADER_FIELDS = [('stamp', (NAME, _TIME)), ('frame_id', (BASE, ('string', 0)))]
@@ -53,8 +57,24 @@ return what the next version has in its place.
 The argument has the old definition's attributes; so has the result the new one's.
 """
 
-UPGRADERS: Upgraders = {}
-"""The upgraders of this version; message set 1 is the first, so there is none yet."""
+
+def _with_position(old: Any) -> Any:
+    """Return a displacement of message set 1, measured at the reference position."""
+    return message_type(_DISPLACEMENT)(**vars(old), position=np.full(len(old.axis), np.nan))
+
+
+def _with_motion(old: Any) -> Any:
+    """Return a machine state of message set 1, which knew no motion of axes and no coolant."""
+    unknown = np.full(len(old.axis), np.nan)
+    added = {'coolant': 0, 'spindle_load': np.nan, 'travel': unknown, 'square_speed': unknown}
+    return message_type(_MACHINE_STATE)(**vars(old), **added)
+
+
+UPGRADERS: Upgraders = {
+    (_DISPLACEMENT, 1): _with_position,
+    (_MACHINE_STATE, 1): _with_motion,
+}
+"""The upgraders of this version."""
 
 
 class Decoder:
@@ -67,13 +87,16 @@ class Decoder:
     ----------
     channels : iterable of Channel
         The bag's channels.
-    version : int
-        Message-set version that the bag states.
+    version : int, optional
+        Message-set version that the bag states.  Without one, its types are taken to be of the
+        first version.
     upgraders : Upgraders
         Bring messages of older versions of `fuzzycnc_msgs` to the current one.
     """
 
-    def __init__(self, channels: Iterable[Channel], version: int, upgraders: Upgraders) -> None:
+    def __init__(
+        self, channels: Iterable[Channel], version: int | None, upgraders: Upgraders
+    ) -> None:
         self._channels = {channel.type: channel for channel in channels}
         self._version = version
         self._upgraders = upgraders
@@ -108,24 +131,46 @@ class Decoder:
 
     def _make(self, type_name: str) -> Decode:
         store = self.store(type_name)
-        steps = [
-            self._upgraders[name, version]
-            for name, version in sorted(self._upgraders)
-            if name == type_name and version >= self._version
-        ]
-        if steps:
-            return lambda raw: reduce(
-                lambda message, step: step(message), steps, deserialize(raw, type_name, store)
-            )
-        if type_name.startswith(f'{PACKAGE}/') and store is not typestore():
-            raise BagVersionError(
-                f'expected {type_name} as in message set {MESSAGE_SET} but the bag '
-                f'(message set {self._version}) defines it otherwise and no upgrader is known; '
-                'install the fuzzycnc that recorded it'
-            )
-        return fast_decoder(store, type_name) or partial(
+        as_recorded = fast_decoder(store, type_name) or partial(
             deserialize, type_name=type_name, store=store
         )
+        steps = self._steps(type_name)
+        if not type_name.startswith(f'{PACKAGE}/') or store is typestore():
+            return as_recorded
+        stated = 'unknown' if self._version is None else self._version
+        refusal = (
+            f'expected {type_name} as in message set {MESSAGE_SET} but the bag (message set '
+            f'{stated}) defines it otherwise and no upgrader is known; install the fuzzycnc that '
+            'recorded it'
+        )
+        if not steps:
+            raise BagVersionError(refusal)
+
+        def upgraded(raw: bytes) -> Any:
+            message = as_recorded(raw)
+            try:
+                return reduce(lambda found, step: step(found), steps, message)
+            except (AttributeError, TypeError) as error:  # not what that version defined
+                raise BagVersionError(refusal) from error
+
+        return upgraded
+
+    def _steps(self, type_name: str) -> list[Callable[[Any], Any]]:
+        """Return the upgraders that a type of the bag goes through, in order."""
+        if self.store(type_name) is typestore():
+            return []
+        return [
+            self._upgraders[name, version]
+            for name, version in sorted(self._upgraders)
+            if name == type_name and (self._version is None or version >= self._version)
+        ]
+
+    def current(self, type_name: str) -> Callable[[bytes], bytes] | None:
+        """Return the function that upgrades undecoded messages; None if they are current."""
+        if not self._steps(type_name):
+            return None
+        decode = self.decode(type_name)
+        return lambda raw: serialize(decode(raw), type_name)
 
     def _find_store(self, type_name: str) -> Any:
         channel = self._channels[type_name]

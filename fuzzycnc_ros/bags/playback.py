@@ -41,6 +41,8 @@ class PlayedTopic:
         Whether late readers got the newest message.
     stamped : bool
         Whether messages begin with a header.
+    upgrade : callable or None
+        Brings its messages to the current message set, where they are older.
     """
 
     topic: str
@@ -48,6 +50,11 @@ class PlayedTopic:
     depth: int
     latched: bool
     stamped: bool
+    upgrade: Callable[[bytes], bytes] | None = None
+
+    def sent(self, payload: bytes) -> bytes:
+        """Return a recorded message as it is sent."""
+        return payload if self.upgrade is None else self.upgrade(payload)
 
 
 class PlayedMessage(NamedTuple):
@@ -104,12 +111,13 @@ def messages(
             # A latched message may be an old fact told again: it says nothing about the time.
             newest = max(newest or 0, stamp)
         if stamp is None and newest is None:
-            early.append(PlayedMessage(name, log_time, 0, payload))
+            early.append(PlayedMessage(name, log_time, 0, topic.sent(payload)))
             continue
         if newest is not None:
             yield from (item._replace(stamp=newest) for item in early)
             early.clear()
-        yield PlayedMessage(name, log_time, newest or 0 if stamp is None else stamp, payload)
+        played_at = newest or 0 if stamp is None else stamp
+        yield PlayedMessage(name, log_time, played_at, topic.sent(payload))
     yield from early
 
 
@@ -285,7 +293,8 @@ def _time_layout(payload: bytes) -> str:
 
 def _describe(reader: BagReader, connection: TopicInfo) -> PlayedTopic:
     known = type_hash(connection.type)
-    if connection.type_hash and connection.type_hash != known:
+    upgrade = reader.decoder.current(connection.type)
+    if upgrade is None and connection.type_hash and connection.type_hash != known:
         raise BagTypeError(
             f'{reader.path}: expected {connection.name} to be {connection.type} as installed '
             'here but it was recorded with another definition; play it with the fuzzycnc that '
@@ -294,7 +303,7 @@ def _describe(reader: BagReader, connection: TopicInfo) -> PlayedTopic:
     _, fields = reader.decoder.store(connection.type).fielddefs[connection.type]
     depth, latched = _offered(connection.profiles)
     first = fields[0][1][1] if fields else ''
-    return PlayedTopic(connection.name, connection.type, depth, latched, first == _HEADER)
+    return PlayedTopic(connection.name, connection.type, depth, latched, first == _HEADER, upgrade)
 
 
 def _offered(profiles: Profiles) -> tuple[int, bool]:
@@ -313,7 +322,7 @@ def _latched_before(
     for topic, _, _, payload in reader.messages(latched, None, start, raw=True):
         newest[topic] = payload
     for topic, payload in newest.items():
-        yield PlayedMessage(topic, start, 0, payload)
+        yield PlayedMessage(topic, start, 0, topics[topic].sent(payload))
 
 
 def require_topics(reader: BagReader, topics: Iterable[str], wanted: str) -> list[str]:

@@ -273,14 +273,15 @@ class BagReader:
         part = first.get(PART, '0')
         self.missing_parts = int(part) if part.isdecimal() else 0
         self.records = {k: v for c in self._contents for k, v in c.metadata.items()}
-        self.message_set = self._message_set()
+        stated = self._stated_set()
+        self.message_set = MESSAGE_SET if stated is None else stated
         if self.message_set > MESSAGE_SET:
             raise BagVersionError(
                 f'{self.path}: expected message set {MESSAGE_SET} or older but found '
                 f'{self.message_set}; install the fuzzycnc that recorded it, or a newer one'
             )
         channels = (channel for contents in self._contents for channel in contents.channels)
-        self.decoder = Decoder(channels, self.message_set, upgraders)
+        self.decoder = Decoder(channels, stated, upgraders)
         self.connections = self._connect()
         self.message_count = sum(c.message_count for c in self.connections.values())
         blocks = [block for contents in self._contents for block in contents.blocks]
@@ -369,14 +370,14 @@ class BagReader:
                 profiles += [p for p in known_qos.get(text, []) if p not in profiles]
         return found
 
-    def _message_set(self) -> int:
+    def _stated_set(self) -> int | None:
         stated = [
             record['message_set'] for record in self.records.values() if 'message_set' in record
         ]
         if self.metadata and MESSAGE_SET_KEY in self.metadata.custom:
             stated.append(self.metadata.custom[MESSAGE_SET_KEY])
         try:
-            return max((int(text) for text in stated), default=MESSAGE_SET)
+            return max((int(text) for text in stated), default=None)
         except ValueError as error:
             raise BagFormatError(
                 f'{self.path}: expected a message-set version but found {stated}'
@@ -405,12 +406,18 @@ class BagReader:
                 )
 
     def _contradictions(self, metadata: Metadata) -> list[str]:
-        """Return where totals and times of `metadata.yaml` are others than those of the files.
+        """Return where storage, types, totals and times of `metadata.yaml` are not the files' own.
 
         Nothing is lost by them, so that they are told and refused by nobody.
         """
         there = [sum((contents.promised or {}).values()) for contents in self._contents]
-        compared: list[tuple[str, str]] = []
+        kinds = {'mcap' if isinstance(file, McapFile) else 'sqlite3' for file in self._files}
+        compared = [(f'{metadata.storage} as storage', kind) for kind in sorted(kinds)]
+        compared += [
+            (f'{topic.type} on {topic.name}', self.connections[topic.name].type)
+            for topic in metadata.topics
+            if topic.name in self.connections
+        ]
         if self._counted and metadata.stated is not None:
             compared.append((f'{metadata.stated} messages in all', f'{sum(there)}'))
         if self.stop and metadata.stated:

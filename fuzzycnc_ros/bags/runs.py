@@ -180,6 +180,40 @@ def read_run(
         raise RunError(f'{source}: {error}') from error
 
 
+def read_temperatures(
+    path: str | os.PathLike[str], namespace: str | None = None
+) -> tuple[NDArray[np.float64], tuple[str, ...], NDArray[np.float64], NDArray[np.float64] | None]:
+    """Read the temperatures of a bag alone, also those that were found implausible.
+
+    Returns
+    -------
+    tuple
+        Times [s] from the first sample, names of the sensors, temperatures [degC], shape (n, k),
+        NaN where there is none, and the spindle speed [rad/s], None if the bag has none.
+
+    Raises
+    ------
+    BagTopicError
+        If the bag lacks the topic, or has it in several namespaces and none is named.
+    BagError
+        If the bag cannot be read.
+    """
+    source = Path(path)
+    with BagReader(source) as reader:
+        topic = find_topic(reader, 'temperatures', TEMPERATURES_TYPE, namespace)
+        sources = speed_topics(reader, topic.rpartition('/')[0])
+        samples = Samples(source, topic, ('sensor',), 'sensor')
+        told: list[tuple[str, int, float]] = []
+        for kind, _, _, message in reader.messages([topic, *sources]):
+            if kind in sources:
+                told.append((sources[kind], _stamp(message), speed_told(sources[kind], message)))
+            else:
+                samples.add(message, message.temperature)
+    found = samples.series()
+    time = (found.stamp - found.stamp[0]) / 1e9
+    return time, found.names[0], found.values, speeds_at(found.stamp, told)
+
+
 def sensor_names(path: str | os.PathLike[str]) -> tuple[str, ...]:
     """Return the sensors of the first temperatures in a bag, in any namespace.
 

@@ -57,6 +57,11 @@ COMMANDS: Commands = {
         'fuzzycnc_ros.cli.models.simulate:simulate',
         'Run a thermal shift of the simulated mill in one process, much faster than live.',
     ),
+    'sensors': Later(
+        'Calibrate',
+        'fuzzycnc_ros.cli.sensors.command',
+        'Read sensors for the first time, and find those that are off.',
+    ),
     'import-csv': Later(
         'Calibrate',
         'fuzzycnc_ros.cli.bags.import_csv:import_csv',
@@ -101,6 +106,11 @@ COMMANDS: Commands = {
         'Run',
         'fuzzycnc_ros.cli.live.operate',
         'Operate a running machine: status, activate, set limits, reference, probe and mark.',
+    ),
+    'probe': Later(
+        'Run',
+        'fuzzycnc_ros.cli.live.probe',
+        'Write the program by which a control probes its own thermal error.',
     ),
     'watch': Later(
         'Run',

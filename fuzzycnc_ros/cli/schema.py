@@ -11,7 +11,7 @@ from fuzzycnc_ros.cli.completion import one_of
 from fuzzycnc_ros.cli.console import check_folder, say, write_text
 from fuzzycnc_ros.cli.options import OptionalPath, given
 
-KINDS = ('devices', 'control', 'machine', 'broker', 'thermal-test')
+KINDS = ('devices', 'control', 'machine', 'broker', 'thermal-test', 'probe')
 """Files that have a schema."""
 
 DIALECT = 'https://json-schema.org/draft/2020-12/schema'
@@ -38,6 +38,7 @@ def schema(
         fuzzycnc schema control --out control.schema.json
         fuzzycnc schema broker --out broker.schema.json
         fuzzycnc schema thermal-test --out thermal-test.schema.json
+        fuzzycnc schema probe --out probe.schema.json
     """
     check_folder(out)
     if kind not in KINDS:
@@ -68,6 +69,10 @@ def _schema(kind: str) -> dict[str, Any]:
         from fuzzycnc_ros.cli.reports.thermal_test_file import ThermalTestFile
 
         found = ThermalTestFile.model_json_schema()
+    elif kind == 'probe':
+        from fuzzycnc_ros.adapters.probing.probe_file import ProbeFields
+
+        found = ProbeFields.model_json_schema()
     else:
         from fuzzycnc_ros.adapters.opcua.control_file import ControlFields
 

@@ -90,6 +90,12 @@ class Config:
             _check_range(item.name, value, item.metadata)
 
 
+def same_param(config: type[Config], name: str) -> Any:
+    """Make a field with default, unit, bounds and text of a field of another configuration."""
+    item = {item.name: item for item in fields(config)}[name]
+    return field(default=item.default, metadata=item.metadata)
+
+
 def _coerced(name: str, value: Any, default: Any) -> Value:
     """Return `value` in the type of `default`: whole numbers for doubles, lists for tuples."""
     if default is MISSING:

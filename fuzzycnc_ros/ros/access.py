@@ -53,7 +53,10 @@ ACTIONS = {
     'thermal_predictor': ('train_thermal_model',),
     'joint_trajectory_bridge': ('follow_joint_trajectory',),
 }
-DRIVERS = {'temperature_acquisition': ('sensor_readings', 'spindle_speed')}
+DRIVERS = {
+    'temperature_acquisition': ('sensor_readings', 'spindle_speed'),
+    'probe_cycle': ('probe_touch',),
+}
 """What drivers publish on behalf of a machine."""
 VIEWED = {
     'temperature_acquisition': ('temperature/*',),

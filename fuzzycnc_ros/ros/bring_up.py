@@ -36,6 +36,8 @@ PAGE = 'dashboard'
 """Serves the live page of all machines; nobody waits for it, and it may fail alone."""
 ACTIVE_TIMEOUT = 20.0
 """Wall time [s] until a managed node must be active."""
+PROBING = 'probe_cycle'
+"""Takes what the program of a control tells."""
 AGAIN = '_again'
 """What the bag of a recorder that was started again has behind its name, with a number."""
 NODE_STOP = 10.0
@@ -126,6 +128,11 @@ def node_specs(
             f'nodes: expected {" or ".join(sorted(MOVERS))} in lock-step, where one node '
             'publishes trajectory, but found both; without lock-step the machine takes one at a '
             'time'
+        )
+    if lockstep and PROBING in wanted:
+        raise GraphError(
+            f'nodes: expected no {PROBING} in lock-step: it works with a control, which keeps '
+            'its own time; leave it or lock-step out'
         )
     common: dict[str, Any] = {'lockstep': lockstep}
     if (simulated or BODY in wanted) and not lockstep:
@@ -312,6 +319,7 @@ ADDED = {
     'linuxcnc': 'linuxcnc_bridge',
     'opcua': 'opcua_bridge',
     'body': 'simulated_body',
+    'probe': 'probe_cycle',
 }
 """Launch arguments that add a node to those of thermal compensation."""
 

@@ -25,7 +25,14 @@ from fuzzycnc_ros.runtime.host import NodeConfiguration
 from fuzzycnc_ros.runtime.records import Record
 
 LATCHED = frozenset(
-    {'sensor_selection', 'thermal_reference', 'predictor_state', 'compensated_path'}
+    {
+        'sensor_selection',
+        'thermal_reference',
+        'predictor_state',
+        'probe_status',
+        'probe_cycle_state',
+        'compensated_path',
+    }
 )
 FAST = frozenset({'axis_state', 'servo_state'})
 """Topics of a servo loop: their newest message is fetched, and nobody woken for each."""

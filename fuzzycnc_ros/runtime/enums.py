@@ -32,6 +32,23 @@ class SpeedStatus(IntEnum):
     OUT_OF_RANGE = 2
 
 
+class Coolant(IntEnum):
+    """Coolant of a machine, `MachineState.COOLANT_*`."""
+
+    UNKNOWN = 0
+    OFF = 1
+    ON = 2
+
+
+class TouchKind(IntEnum):
+    """What happened in a probing cycle, `ProbeTouch.KIND_*`."""
+
+    BEGIN = 0
+    TOUCH = 1
+    MISS = 2
+    END = 3
+
+
 class Reason(IntEnum):
     """Why a prediction is invalid, `ThermalError.REASON_*`."""
 

@@ -8,7 +8,7 @@ machine time.  `runtime/convert.py` turns records into messages and back, and a 
 both sides together.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, ClassVar, TypeAlias
 
 import numpy as np
@@ -174,6 +174,58 @@ class Displacement(Record):
     displacement: Floats
     standard_deviation: Floats
     includes_compensation: bool
+    position: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        """Take a position that is left out as an unknown one, in messages too."""
+        if not len(self.position):
+            object.__setattr__(self, 'position', np.full(len(self.axis), np.nan))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ProbeTouch(Record):
+    """Touch of a probing cycle, or its begin or end."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/ProbeTouch'
+
+    kind: int
+    number: int
+    position: float
+    includes_offset: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ProbeStatus(Record):
+    """Knowledge of the thermal error from probes."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/ProbeStatus'
+
+    due: bool
+    reason: str
+    due_at: Stamp
+    probed_at: Stamp
+    axis: Names
+    channel: Names
+    band: Floats
+    change: Floats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ProbeCycleState(Record):
+    """State of the probing cycle."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/ProbeCycleState'
+
+    due: bool
+    reason: str
+    outcome: str
+    accepted: bool
+    failures: int
+    signature: int
+    reference_stamp: Stamp
+    zero: Floats
+    size: Floats
+    noise: Floats
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -227,6 +279,16 @@ class MachineState(Record):
     spindle_speed: float
     axis: Names
     position: Floats
+    coolant: int = 0
+    spindle_load: float = np.nan
+    travel: Floats = field(default_factory=lambda: np.zeros(0))
+    square_speed: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        """Take what is left out as unknown, in messages too."""
+        for name in ('travel', 'square_speed'):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.full(len(self.axis), np.nan))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -46,6 +46,7 @@ def displacement(stamp: int, values: Any = (1e-6, 2e-6), axes: Any = 'YZ', chann
         displacement=values,
         standard_deviation=np.full(len(values), np.nan),
         includes_compensation=False,
+        position=np.full(len(values), np.nan),
     )
 
 

@@ -725,3 +725,20 @@ def test_days_of_a_spreadsheet(tmp_path):
     report = import_csv(file, tmp_path / 'days', CsvMapping(**mapping, time_unit='d'))
     assert report.interval == pytest.approx(60.0, abs=1e-3)
     assert report.doubts == ()
+
+
+def test_a_sensor_with_a_rate_of_its_own_says_nothing_of_the_pace(tmp_path):
+    """A heated bed and the probe that sees it warm in a minute, the frame does not."""
+    time = np.arange(0, 3600, 10)
+    bed = 22 + np.clip((time - 300) * 0.6, 0, 63)
+    frame = 22 + 3 * (1 - np.exp(-time / 900))
+    rows = zip(time, frame, bed, 0.3 * (bed - 22), strict=True)
+    file = tmp_path / 'bed.csv'
+    file.write_text('t,a,bed,ch\n' + ''.join('{},{:.2f},{:.2f},{:.2f}\n'.format(*r) for r in rows))
+    mapping = {'time': 't', 'temperatures': ['a', 'bed'], 'displacements': ['ch=Z:um']}
+    assert any(
+        '2 of 3 sensors' in doubt
+        for doubt in import_csv(file, tmp_path / 'usual', CsvMapping(**mapping)).doubts
+    )
+    own = CsvMapping(**mapping, sensor_limits=['b*:rate_max:0.7'])
+    assert import_csv(file, tmp_path / 'own', own).doubts == ()

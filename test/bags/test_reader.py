@@ -9,6 +9,7 @@ import sqlite3
 import struct
 import zlib
 from contextlib import closing
+from pathlib import Path
 
 import mcap.reader
 import mcap.writer
@@ -19,6 +20,7 @@ import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fuzzycnc_ros.bags import playback
 from fuzzycnc_ros.bags.errors import (
     BagCountError,
     BagDataError,
@@ -31,8 +33,10 @@ from fuzzycnc_ros.bags.errors import (
 )
 from fuzzycnc_ros.bags.mcapfile import MAGIC, McapFile
 from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.bags.typestore import serialize
+from fuzzycnc_ros.bags.typestore import deserialize, serialize
 from fuzzycnc_ros.bags.writer import BagWriter
+from fuzzycnc_ros.runtime.convert import decode
+from fuzzycnc_ros.runtime.records import Displacement, MachineState
 
 SECOND = 10**9
 PY = 'rosbag2_py/test/resources'
@@ -178,9 +182,15 @@ def test_metadata_that_promises_more_is_refused(small_bag):
             '      nanoseconds: 6',
             's as the duration of bag_0.mcap',
         ),
+        ('storage_identifier: mcap', 'storage_identifier: sqlite3', 'says sqlite3 as storage but'),
+        (
+            'type: fuzzycnc_msgs/msg/Temperatures',
+            'type: std_msgs/msg/String',
+            'std_msgs/msg/String on /mill/temperatures but .* hold fuzzycnc_msgs/msg/Temperatures',
+        ),
     ],
 )
-def test_metadata_whose_totals_and_times_are_wrong_is_told(small_bag, fuzzycnc, old, new, told):
+def test_metadata_whose_facts_are_wrong_is_told(small_bag, fuzzycnc, old, new, told):
     file = small_bag / 'metadata.yaml'
     text = file.read_text(encoding='utf-8')
     with BagReader(small_bag) as reader:
@@ -472,8 +482,8 @@ def rewrite_definition(bag, tmp_path, version, change):
 
 
 def test_bag_of_a_newer_message_set_is_refused(small_bag, tmp_path):
-    newer = rewrite_definition(small_bag, tmp_path, 2, str)
-    with pytest.raises(BagVersionError, match=r'expected message set 1 or older but found 2'):
+    newer = rewrite_definition(small_bag, tmp_path, 3, str)
+    with pytest.raises(BagVersionError, match=r'expected message set 2 or older but found 3'):
         BagReader(newer)
 
 
@@ -504,6 +514,58 @@ def test_upgrader_brings_old_messages_to_the_current_set(small_bag, tmp_path, ne
     with BagReader(old, upgraders=upgraders) as reader, BagReader(small_bag) as current:
         found = [serialize(m.message) for m in reader.messages()]
         assert found == [m.message for m in current.messages(raw=True)]
+
+
+GOLDEN = Path(__file__).parents[2] / 'bags' / 'mill_warm_up'
+"""A run that was recorded with message set 1."""
+
+
+def without_version(bag, target):
+    """Copy a bag as a recorder writes it that knows no message sets."""
+    with BagReader(bag) as reader, target.open('wb') as stream:
+        writer = mcap.writer.Writer(stream)
+        writer.start(profile='ros2', library='another')
+        channels = {}
+        for topic, found in reader.connections.items():
+            schema = writer.register_schema(found.type, 'ros2msg', found.definition.encode())
+            channels[topic] = writer.register_channel(topic, 'cdr', schema)
+        for item in reader.messages(raw=True):
+            at = item.log_time
+            writer.add_message(channels[item.topic], at, item.message, at)
+        writer.finish()
+    return target
+
+
+@pytest.mark.parametrize('stated', [True, False])
+def test_a_displacement_of_set_1_was_measured_at_the_reference_position(tmp_path, stated):
+    bag = GOLDEN if stated else without_version(GOLDEN, tmp_path / 'bare.mcap')
+    with BagReader(bag) as reader:
+        assert reader.message_set == (1 if stated else 2)
+        found = [decode(Displacement, m.message) for m in reader.messages(['/mill/displacement'])]
+        assert len(found) == 60
+        assert all(item.displacement.shape == (2,) for item in found)
+        assert all(np.isnan(item.position).all() for item in found)
+        assert max(np.abs(item.displacement).max() for item in found) > 5e-6
+        sent = list(playback.messages(reader, playback.played_topics(reader, reader.connections)))
+    played = [item.payload for item in sent if item.topic == '/mill/displacement']
+    again = [decode(Displacement, deserialize(raw, Displacement.TYPE)) for raw in played]
+    assert [item.stamp for item in again] == [item.stamp for item in found]
+    assert all(np.isnan(item.position).all() for item in again)
+    with BagReader(bag) as reader:
+        states = [
+            decode(MachineState, m.message) for m in reader.messages(['/mill/machine_state'])
+        ]
+    assert states
+    assert all(state.coolant == 0 and np.isnan(state.travel).all() for state in states)
+
+
+def test_a_displacement_that_no_set_has_had_is_refused(small_bag, tmp_path):
+    def named_otherwise(text):
+        return text.replace('float64[] displacement ', 'float64[] deviation ')
+
+    with BagReader(rewrite_definition(small_bag, tmp_path, 1, named_otherwise)) as reader:
+        with pytest.raises(BagVersionError, match=r'message set 1\) defines it otherwise'):
+            list(reader.messages(['/mill/displacement']))
 
 
 def test_a_version_far_below_the_first_keeps_nobody_busy(small_bag, tmp_path):

@@ -83,7 +83,7 @@ def test_commands_are_proposed_without_loading_any(root):
         ('fuzzycnc advise --corners ', ['none', 'feed', 'split']),
         ('fuzzycnc foam train --features p', ['physical', 'paper']),
         ('fuzzycnc machine show ball', ['ballscrew']),
-        ('fuzzycnc schema ', ['devices', 'control', 'machine', 'broker', 'thermal-test']),
+        ('fuzzycnc schema ', ['devices', 'control', 'machine', 'broker', 'thermal-test', 'probe']),
         ('fuzzycnc operate activate comp', ['compensator']),
         ('fuzzycnc operate set compensator.off', ['compensator.offset_max=']),
         ('fuzzycnc up --nodes compensator,sensor', ['compensator,sensor_selector']),

@@ -51,6 +51,9 @@ OWN_WORDS = {
 }
 """Modules whose texts the doors for Python and the nodes put into their own words."""
 
+IN_OWN_WORDS = {'fuzzycnc sensors check'}
+"""Commands that do so too: they name `fuzzycnc import-csv`, which has the options."""
+
 Place = tuple[str, str]
 """Module and name of a function, class or constant in it; no name is the module itself."""
 
@@ -235,7 +238,8 @@ def test_every_option_in_a_text_is_one_of_the_command_that_prints_it():
             printing = [(name, reach[name][1]) for name in COMMAND_LINES[place[0]]]
             lacking = [] if any(option in options for _, options in printing) else [place[0]]
         else:
-            lacking = [name for name, options in printing if option not in options]
+            told = IN_OWN_WORDS if place[0] in OWN_WORDS else set()
+            lacking = [n for n, options in printing if option not in options and n not in told]
         if lacking:
             wrong.append(f'{where}: {option} is no option of {", ".join(lacking[:4])}')
     assert not wrong, '\n' + '\n'.join(wrong)

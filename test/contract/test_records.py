@@ -46,6 +46,8 @@ ANNOTATIONS = {
 ENUMS = [
     ('Temperatures', 'STATUS', codes.Status),
     ('SpindleSpeed', 'STATUS', codes.SpeedStatus),
+    ('ProbeTouch', 'KIND', codes.TouchKind),
+    ('MachineState', 'COOLANT', codes.Coolant),
     ('ThermalError', 'REASON', codes.Reason),
     ('Compensation', 'STATE', codes.CompensationState),
     ('CompensationApplied', 'STATUS', codes.AppliedStatus),

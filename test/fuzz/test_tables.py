@@ -98,6 +98,28 @@ DEVICES_FILE = """devices:
       motor: ns=2;s=Spindle.Temperature.Front
       column: {path: "0:Objects/2:Machine/2:Column/2:Temperature", offset: -273.15}
     spindle_speed: {node: ns=2;s=Spindle.ActualSpeed, unit: rpm}
+  - name: card
+    protocol: linuxcnc_hal
+    sensors:
+      table: {pin: in0, fault: open0, ntc: {steinhart_hart: [1e-3, 2e-4, 1e-7]}}
+  - name: board
+    protocol: lines
+    port: /dev/ttyACM0
+    columns: [a, "-", b]
+    ntc: {beta: 3950, resistance: 10000, divider: {fixed: 4700, supply: 1023, ntc: high}}
+    sensors: {nut: a, bed: {key: b, rate_max: 0.7}}
+  - name: house
+    protocol: mqtt
+    host: 192.168.10.3
+    max_age: 30
+    sensors: {hall: {topic: tele/+/SENSOR, json: DS18B20.Temperature}}
+  - name: bus
+    protocol: one_wire
+    sensors: {base: 28-0316a2791cff}
+  - name: printer
+    protocol: moonraker
+    url: http://192.168.10.4:7125
+    sensors: {chamber: temperature_sensor chamber}
 """
 CONTROL_FILE = """url: opc.tcp://192.168.10.2:4840/
 unit: um

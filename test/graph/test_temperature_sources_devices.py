@@ -12,11 +12,17 @@ import pytest
 pytest.importorskip('asyncua')
 pytest.importorskip('pymodbus')
 pytest.importorskip('serial')
+pytest.importorskip('paho')
 
 from asyncua import ua
+from bag_contents import contents
 from equipment.field_servers import LOCAL, Field, ModbusServer, OpcUaServer, Route
+from equipment.mqtt_broker import MOSQUITTO, PASSWORD, USER, MqttBroker, credentials
 from equipment.mtconnect_agent import Agent
 from equipment.serial_cable import Cable
+from paho.mqtt.client import Client
+from paho.mqtt.enums import CallbackAPIVersion
+from processes import command_line
 from sensor_msgs.msg import JointState
 
 from fuzzycnc_ros.bags.reader import BagReader
@@ -397,3 +403,52 @@ def test_positions_of_an_agent_are_published_and_recorded(graph, observer, tmp_p
     places = [1e6 * item.message.position for item in kept]
     assert any(np.allclose(place, [-3000.0, np.nan], equal_nan=True) for place in places)
     assert np.isnan(places[-1]).all()
+
+
+def test_a_secret_of_a_broker_is_in_no_bag_and_no_log(graph, observer, tmp_path):
+    if MOSQUITTO is None:
+        pytest.skip('no mosquitto here: apt-get install mosquitto')
+    broker = MqttBroker(tmp_path, tls=True, password=PASSWORD)
+    broker.start()
+    credentials(tmp_path)
+    path, bag = tmp_path / 'devices.yaml', tmp_path / 'bag'
+    path.write_text(
+        f'devices: [{{name: house, protocol: mqtt, host: {LOCAL}, port: {broker.port}, '
+        'period: 0.1, tls: {ca: broker.pem}, credentials: broker-user.yaml, max_age: 2, '
+        'timeout: 0.5, '
+        'sensors: {T1: mill/front, bed: {topic: mill/bed, rate_max: 0.7, range_high: 130}}}]'
+    )
+    client = Client(CallbackAPIVersion.VERSION2)
+    client.tls_set(str(tmp_path / 'broker.pem'))
+    client.username_pw_set(USER, PASSWORD)
+    client.connect(LOCAL, broker.port)
+    client.loop_start()
+    samples = observer.records('temperatures', Temperatures)
+    try:
+        recorder = graph.start('recorder', {'output': str(bag), 'topics': '.*', 'exclude': '^$'})
+        parameters = {'source': 'devices', 'device_file': str(path), 'interval': 0.5}
+        node = graph.start('temperature_acquisition', {**parameters, 'stuck_time': 0.0})
+
+        def good():
+            client.publish('mill/front', '21.5')
+            client.publish('mill/bed', '125')
+            return statuses(samples) == [OK] * 2
+
+        observer.until(good, 'good samples, also of the bed by its own limits')
+        broker.admit('another')
+        broker.stop()
+        observer.until(lambda: statuses(samples) == [MISSING] * 2, 'the loss')
+        broker.start()
+        name = 'mill/temperature_acquisition: device house'
+        observer.watch_diagnostics()
+        observer.until(lambda: observer.told(name, 'compare credentials'), 'the refusal')
+        assert recorder.interrupt() == 0
+        started = command_line(node.process.pid)
+    finally:
+        client.disconnect()
+        client.loop_stop()
+        broker.close()
+    written = [item for part in bag.rglob('*') if part.is_file() for item in contents(part)]
+    logs = [text.encode() for text in (node.output, recorder.output, started)]
+    assert len(written) > 10
+    assert not [t for t in (*written, *logs) for s in (USER, PASSWORD) if s.encode() in t]

@@ -120,6 +120,7 @@ def test_nothing_before_homing(rig):
 
 
 def test_off_and_on_with_an_offset(rig):
+    zero = rig.controller.halcmd('getp', 'joint.2.motor-pos-cmd')
     rig.start()
     rig.settle((0, 0, 50))
     rig.controller.off()
@@ -134,6 +135,10 @@ def test_off_and_on_with_an_offset(rig):
     np.testing.assert_allclose(rig.position(), before, atol=CLOSE)
     rig.observer.spin_for(0.3)
     assert rig.at((0, 0, 0))
+    # The zero of the machine stays: a probe in machine coordinates sees all of the error again.
+    rig.controller.line('G53 G0 Z0')
+    moved = float(rig.controller.halcmd('getp', 'joint.2.motor-pos-cmd')) - float(zero)
+    assert moved == pytest.approx(0.0, abs=1e-4)
     rig.settle((0, 0, 20))
     rig.settle((0, 0, 0))
     assert rig.at((0, 0, 0))

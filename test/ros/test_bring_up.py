@@ -149,3 +149,10 @@ def test_no_restart_records_into_the_bag_of_another_machine(tmp_path, machines):
         started = launch(tmp_path, machine=names, record='bag')
         outputs = [item.spec.parameters.get('output') for item in started]
         assert len({*outputs} - {None}) == 2
+
+
+def test_a_probing_cycle_needs_a_control_that_keeps_its_own_time():
+    with pytest.raises(GraphError, match=r'expected no probe_cycle in lock-step'):
+        node_specs(nodes=('probe_cycle',), duties=('T1',), lockstep=True)
+    specs = node_specs(nodes=('probe_cycle', 'linuxcnc_bridge'))
+    assert [spec.name for spec in specs] == ['linuxcnc_bridge', 'probe_cycle']

@@ -120,6 +120,7 @@ def view(machine: str = 'mill', **changes: Any) -> dict[str, Any]:
         'feeds': None,
         'servo': None,
         'soft': None,
+        'probing': None,
     }  # fmt: skip
     return {**document, **changes}
 

@@ -7,7 +7,7 @@ from itertools import count
 
 import pytest
 from fake_dashboard import STAMP, alarm, axis, busy_view, view
-from live_page import micro, model_fields, node_rows, number, offset_rows, operator_fields
+from live_page import GAP, micro, model_fields, node_rows, number, offset_rows, operator_fields
 
 _numbers = count(1)
 
@@ -224,3 +224,24 @@ def test_names_from_elsewhere_are_text(page, fake):
     page.open(fake.url, HOSTILE)
     page.one('[data-act="reference"]').click()
     assert HOSTILE in page.one('dialog h2').text
+
+
+def test_it_tells_when_the_next_probe_is_due_and_what_the_last_changed(page, fake):
+    told = {
+        'due': False,
+        'reason': '',
+        'due_in': 5400.0,
+        'age': 600.0,
+        'changes': [{'channel': 'Y', 'change': -1.54e-6}],
+        'cycle': None,
+    }
+    fields = shown(page, fake, view(probing=told))['fields']
+    assert fields['probing'] == (
+        f'Next probe due in about 1{GAP}h{GAP}30{GAP}min. The last, 10{GAP}min ago, changed '
+        f'Y {micro(-1.54e-6, signed=True)}.'
+    )
+    cycle = {'due': True, 'reason': 'wide', 'outcome': '', 'accepted': True, 'failures': 0}
+    told = {**told, 'due': True, 'reason': 'Z to 9 um', 'age': None, 'cycle': cycle}
+    fields = shown(page, fake, view(probing=told))['fields']
+    assert fields['probing'] == 'Probe due: Z to 9 um.'
+    assert fields['probing cycle'] == 'Probing cycle: due, wide.'

@@ -81,12 +81,13 @@ class Linuxcnc(Controller[ControllerStatus, ControllerOutput, ControllerLimits])
 
     def read(self) -> ControllerStatus:
         """Return the present status."""
-        return self._status(self._ask({'op': 'read'}))
+        return self._status(self._ask({'op': 'read', 'due': self.probe_due}))
 
     def write(self, orders: ControllerOutput) -> ControllerStatus:
         """Write counts, and the heartbeat; return the present status."""
         counts = [float(number) for number in orders.counts]
-        return self._status(self._ask({'op': 'write', 'counts': counts, 'rezero': orders.rezero}))
+        request = {'op': 'write', 'counts': counts, 'rezero': orders.rezero, 'due': self.probe_due}
+        return self._status(self._ask(request))
 
     def limits(self) -> ControllerLimits:
         """Return the limits of the HAL file."""
@@ -168,6 +169,8 @@ class Linuxcnc(Controller[ControllerStatus, ControllerOutput, ControllerLimits])
             scale=column('scale', metre),
             tick=found['tick'],
             spindle_speed=2.0 * math.pi * found['spindle'],
+            coolant=found['coolant'],
+            probe=(found['probe-code'], found['probe-value']) if found['probed'] else None,
         )
 
     def _check_time(self, tick: Any) -> None:

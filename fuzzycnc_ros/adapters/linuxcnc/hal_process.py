@@ -27,6 +27,9 @@ MODE_PERIOD = 0.05
 ARMING = 0.05
 """Time [s] for the servo thread to see an edge of the enable of its watchdog."""
 PREFIX = 'fuzzycnc'
+PROBE_READS = ('probe-code', 'probe-value')
+"""Signals of fuzzycnc_probe.hal: the code is read first, since the number is written first."""
+PROBE_DUE = 'probe-due'
 SERVER = 'linuxcncsvr'
 """Process that every LinuxCNC has."""
 TOOLS = '.tool.mmap'
@@ -106,6 +109,8 @@ class Bridge:
         new = self._component.newpin
         self._in = {name: new(name, kinds[kind], hal.HAL_IN) for name, kind in reads}
         self._out = {name: new(name, kinds[kind], hal.HAL_OUT) for name, kind in writes}
+        self._probe_in = {name: new(name, hal.HAL_FLOAT, hal.HAL_IN) for name in PROBE_READS}
+        self._due = new(PROBE_DUE, hal.HAL_BIT, hal.HAL_OUT)
         self._component.ready()
         known = {item['NAME'] for item in hal.get_info_signals()}
         missing = sorted(f'{PREFIX}-{n}' for n in (*self._in, *self._out))
@@ -118,6 +123,12 @@ class Bridge:
             )
         for name in self._in:
             hal.connect(f'{self._name}.{name}', f'{PREFIX}-{name}')
+        self._probed = all(f'{PREFIX}-{name}' in known for name in PROBE_READS)
+        if self._probed:
+            for name in PROBE_READS:
+                hal.connect(f'{self._name}.{name}', f'{PREFIX}-{name}')
+        self._shows_due = f'{PREFIX}-{PROBE_DUE}' not in known
+        self.show(False)
 
     def writer(self, name):
         """Return the pin that writes a signal; empty if there is none."""
@@ -125,6 +136,19 @@ class Bridge:
             if item['NAME'] == f'{PREFIX}-{name}':
                 return item.get('DRIVER') or ''
         return ''
+
+    def show(self, due):
+        """Show whether a probing cycle is due, once no other bridge that is alive does."""
+        if due == self._due.value and self._shows_due:
+            return
+        self._due.value = due
+        pin = '' if self._shows_due else self.writer(PROBE_DUE)
+        if self._shows_due or (pin and not is_dead(pin.partition('.')[0])):
+            return
+        if pin:
+            self._hal.disconnect(pin)
+        self._hal.connect(f'{self._name}.{PROBE_DUE}', f'{PREFIX}-{PROBE_DUE}')
+        self._shows_due = True
 
     def limits(self):
         """Return the limits of the servo thread."""
@@ -180,7 +204,8 @@ class Bridge:
         now = time.monotonic()
         if now - self._mode_at > MODE_PERIOD:
             self._mode, self._mode_at = self._read_mode(), now
-        found = {name: pin.value for name, pin in self._in.items()}
+        found = {name: pin.value for name, pin in (*self._probe_in.items(), *self._in.items())}
+        found['probed'] = self._probed
         for axis in self._axes:
             found[f'scale-{axis}'] = self._hal.get_value(f'axis.{axis}.eoffset-scale')
         found['tick'] = self._hal.get_value('servo-thread.time')
@@ -214,6 +239,7 @@ class Bridge:
         return {
             'mode': mode,
             'units': state.linear_units or 1.0,
+            'coolant': bool(state.flood or state.mist),
             'spindle': self._hal.get_value('spindle.0.speed-out-rps'),
             'writer': '' if is_dead(owner) else owner,
         }
@@ -231,6 +257,8 @@ def serve(bridge, memory):
             if hal_memory() != memory:
                 raise HalError('LinuxCNC has ended')
             operation = request['op']
+            if 'due' in request:
+                bridge.show(request['due'])
             if operation == 'claim':
                 bridge.claim()
             elif operation == 'release':

@@ -3,7 +3,7 @@
 """Component `linuxcnc_bridge`: offsets into a running LinuxCNC, and what it really applies."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,8 @@ from fuzzycnc_ros.adapters.linuxcnc.status import (
     OffsetRegisters,
     RegisterPhase,
 )
-from fuzzycnc_ros.core.config import param
+from fuzzycnc_ros.core.config import param, same_param
+from fuzzycnc_ros.core.inputs.offset_input import OffsetInputConfig
 from fuzzycnc_ros.core.inputs.offsets import describe
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.records import Bools, nanoseconds
@@ -39,6 +40,8 @@ class LinuxcncBridgeConfig(ControllerBridgeConfig):
     slew_max: float = param(
         5e-6, 'm/s', 'Fastest change of an offset; below the HAL file', low=1e-9, high=1e-3
     )
+    slope_max: float = same_param(OffsetInputConfig, 'slope_max')
+    speed_max: float = same_param(OffsetInputConfig, 'speed_max')
     cycle_period: float = param(
         0.005, 's', 'Time between two looks at LinuxCNC', low=0.001, high=0.1
     )
@@ -56,11 +59,17 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
         'external offsets, and its read-back. Managed lifecycle.'
     )
     CONTROLLER = 'LinuxCNC'
+    PROBE_OFFSET = True
     CONFIG = LinuxcncBridgeConfig
 
     def __init__(self, config: LinuxcncBridgeConfig | None = None) -> None:
         super().__init__(config)
         self._registers = OffsetRegisters(len(self._axes))
+
+    @property
+    def _limits(self) -> OffsetInputConfig:
+        slope, speed = self._config.slope_max, self._config.speed_max
+        return replace(super()._limits, slope_max=slope, speed_max=speed)
 
     @property
     def moving(self) -> bool:

@@ -8,22 +8,18 @@ from collections.abc import Sequence
 from time import monotonic
 from typing import Any
 
+from fuzzycnc_ros.adapters.modbus.devices import ModbusDevice, ModbusTcpDevice
 from fuzzycnc_ros.adapters.modbus.registers import (
     Block,
     blocks,
     jump,
+    lies_at_zero,
     single_blocks,
     suspects,
     value_of,
 )
-from fuzzycnc_ros.adapters.readings.devices import (
-    SPINDLE,
-    ModbusDevice,
-    ModbusRtuDevice,
-    ModbusTcpDevice,
-)
+from fuzzycnc_ros.adapters.readings.devices import SPINDLE
 from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
-from fuzzycnc_ros.ros.parameters import ParameterError
 
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
 EXCEPTIONS = {
@@ -41,29 +37,9 @@ UNCHANGED_MAX = 600.0
 holds a float [s]."""
 
 COURSE = 8
-"""Different readings of a whole number by which its order is judged."""
+"""Different readings by which the order of a number is judged."""
 
 WRONG_MAP = (ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE)
-
-
-def check(device: ModbusDevice) -> None:
-    """Check what only this protocol can check of a device of the file.
-
-    Raises
-    ------
-    ParameterError
-        If its library is missing.
-    """
-    try:
-        import pymodbus.client  # noqa: F401
-
-        if isinstance(device, ModbusRtuDevice):
-            import serial  # noqa: F401
-    except ImportError as error:
-        raise ParameterError(
-            f'device {device.name}: Modbus needs pymodbus, on a serial line pyserial too '
-            f"({error}); run pip install 'fuzzycnc_ros[modbus]'"
-        ) from error
 
 
 class ModbusLink(Link):
@@ -83,7 +59,7 @@ class ModbusLink(Link):
         self._moved: set[int] = set()
         """Registers that have read something else since."""
         self._course: dict[int, deque[list[int]]] = {}
-        """What registers of whole numbers have read, each time they changed."""
+        """What registers have read, each time they changed."""
 
     @property
     def requests(self) -> int:
@@ -115,23 +91,25 @@ class ModbusLink(Link):
     def _reading(self, index: int, words: list[int]) -> Reading:
         """Return the reading of a channel.
 
-        A float has to change now and then; a whole number may not jump that would be steady in
-        another order.
+        A float has to change now and then, and may not stay next to zero that would be in a shop
+        in another order; a whole number may not jump that would be steady in another order.
         """
         item = self._device.channels[index]
         found = value_of(item, words)
         if item.name == SPINDLE or isinstance(found, str):
             return found
+        course = self._course.setdefault(index, deque(maxlen=COURSE))
+        if not course or course[-1] != words:
+            course.append(words)
         if not item.type.startswith('float'):
-            course = self._course.setdefault(index, deque(maxlen=COURSE))
-            if not course or course[-1] != words:
-                course.append(words)
             if len(course) == COURSE and (step := jump(item, course)):
                 return (
                     f'jumps by {step:.3g} K from reading to reading, as no sensor does; '
                     f'{suspects(item, words)}'
                 )
             return found
+        if len(course) == COURSE and lies_at_zero(item, course):
+            return f'stays at {found:.2g} degC; {suspects(item, words)}'
         if index in self._moved:
             return found
         first, since = self._first.setdefault(index, (words, monotonic()))

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
-from fuzzycnc_ros.adapters.readings.devices import FORMATS, SPINDLE, Register
+from fuzzycnc_ros.adapters.modbus.devices import FORMATS, ORDERS, Register
+from fuzzycnc_ros.adapters.readings.devices import SPINDLE
 from fuzzycnc_ros.adapters.readings.plausible_value import no_temperature, scaled
 
 REGISTERS_MAX = 125
@@ -80,7 +81,7 @@ def value_of(item: Register, words: Sequence[int]) -> float | str:
         same = raw == code if isinstance(raw, float) else (raw - code) % modulus == 0
         if same:
             return f'open circuit (raw value {raw})'
-    value = scaled(item.scale, item.offset, raw)
+    value = scaled(item, raw)
     if item.name == SPINDLE or not (trouble := no_temperature(raw, value)):
         return value
     return f'{trouble}; {suspects(item, words)}'
@@ -99,13 +100,14 @@ def suspects(item: Register, words: Sequence[int]) -> str:
     """Return what may be wrong in the device file, and what other orders would give."""
     others = []
     for other in _other_orders(item):
-        value = item.scale * raw_of(other, words) + item.offset
+        value = scaled(item, raw_of(other, words))
         changed = [
             f'{name} {getattr(other, name)}'
             for name in ('word_order', 'byte_order')
             if getattr(other, name) != getattr(item, name)
         ]
-        others.append(f'{value:.5g} with {" and ".join(changed)}')
+        told = f'{value:.5g}' if isinstance(value, float) else 'nothing'
+        others.append(f'{told} with {" and ".join(changed)}')
     orders = 'word_order, byte_order' if item.count > 1 else 'byte_order'
     return (
         f'compare {orders}, type and register with its manual (addresses count from 0); it would '
@@ -129,6 +131,8 @@ def jump(item: Register, course: Sequence[Sequence[int]]) -> float:
     >>> round(jump(rtd, [[0xEB00], [0xEC00], [0xED00], [0xEC00]]), 3)  # 23.5, 23.6, 23.7, 23.6
     25.6
     """
+    if item.ntc is not None:
+        return 0.0
 
     def step(one: Register) -> float:
         raw = [raw_of(one, words) for words in course]
@@ -140,6 +144,31 @@ def jump(item: Register, course: Sequence[Sequence[int]]) -> float:
     return found
 
 
+def lies_at_zero(item: Register, course: Sequence[Sequence[int]]) -> bool:
+    """Return whether all readings are next to 0 degC that another order finds in a shop.
+
+    Parameters
+    ----------
+    item : Register
+        What the registers mean.
+    course : sequence of sequence of int
+        The registers in some readings, each other than the last.
+
+    Examples
+    --------
+    >>> front = Register(name='T1', table='input', register=0, type='float32')
+    >>> lies_at_zero(front, [[0xBC41, 0x0000], [0xBC41, 0x295C]])  # 23.5, 23.52
+    True
+    """
+
+    def within(one: Register, low: float, high: float) -> bool:
+        return all(low < one.scale * raw_of(one, words) + one.offset < high for words in course)
+
+    return within(item, -AT_ZERO, AT_ZERO) and any(
+        within(other, *OF_A_SHOP) for other in _other_orders(item)
+    )
+
+
 def _other_orders(item: Register) -> Iterator[Register]:
     """Return what the registers would mean in other orders of words and bytes."""
     of_words = ORDERS if item.count > 1 else (item.word_order,)
@@ -148,8 +177,10 @@ def _other_orders(item: Register) -> Iterator[Register]:
             yield replace(item, word_order=word_order, byte_order=byte_order)
 
 
-ORDERS = ('big', 'little')
-
 JUMP, STEADIER = 8.0, 16.0
 """Mean step between readings from which their order is doubted [K], and how much smaller it is in
 the right one [-]; to swap the bytes makes it 256 times as large."""
+
+AT_ZERO = 1.0
+OF_A_SHOP = (5.0, 60.0)
+"""Temperatures that bytes of 23 to 24 degC give in a wrong order, and those of machines [degC]."""

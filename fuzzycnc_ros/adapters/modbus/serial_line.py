@@ -8,15 +8,14 @@ and what is neither the answer nor a short glitch disturbs the line for a while.
 """
 
 import asyncio
-import os
 import time
 from collections.abc import Sequence
 from typing import Any
 
+from fuzzycnc_ros.adapters.modbus.devices import ModbusRtuDevice, SerialLine
 from fuzzycnc_ros.adapters.modbus.link import ModbusLink, request
 from fuzzycnc_ros.adapters.modbus.registers import Block
-from fuzzycnc_ros.adapters.readings.devices import ModbusRtuDevice, SerialLine
-from fuzzycnc_ros.adapters.readings.link import LinkError, Reading
+from fuzzycnc_ros.adapters.readings.link import LinkError, Reading, port_trouble
 
 FRAME_MIN = 4
 """Bytes of the shortest frame: unit, function, checksum.  Fewer are a glitch, as adapters make
@@ -73,7 +72,7 @@ class _Line:
         """Open the port if no other unit has."""
         async with self._opening:
             if not self._opened and not await self._connect():
-                raise LinkError(_trouble(self._port))
+                raise LinkError(port_trouble(self._port))
             self._opened = True
 
     def close(self) -> None:
@@ -226,12 +225,3 @@ class ModbusRtuLink(ModbusLink):
 
     async def _request(self, block: Block) -> Any:
         return await self._line.ask(self._unit, block)
-
-
-def _trouble(port: str) -> str:
-    """Say why a port cannot be opened, and what to do."""
-    if not os.path.exists(port):
-        return f'no serial port {port}; is the adapter plugged in?'
-    if not os.access(port, os.R_OK | os.W_OK):
-        return f'{port} may not be opened; add the user to the group of the file, often dialout'
-    return f'cannot open {port}; another program may hold it, or it is no serial port'

@@ -1,3 +1,3 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a machine does, as messages to a broker of MQTT."""
+"""A broker of MQTT: what a machine does, to it, and what sensors say, from it."""

@@ -7,7 +7,7 @@ docs/how-to/mqtt.md describes it with examples.
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from fuzzycnc_ros.adapters.opcua.file_fields import File, read_credentials
 from fuzzycnc_ros.adapters.yaml_model import (
@@ -52,12 +52,8 @@ class Broker:
         Name or address.
     port : int
         Its port.
-    topic : str
-        What its topics begin with.
     keep_alive : int
         Time after which a silent connection counts as lost [s].
-    buffered : int
-        Most reports that are kept while the broker is away.
     tls : Tls, optional
         How the way is secured; None: not at all.
     credentials : Path, optional
@@ -66,9 +62,7 @@ class Broker:
 
     host: str
     port: int
-    topic: str
     keep_alive: int
-    buffered: int
     tls: Tls | None
     credentials: Path | None
 
@@ -76,6 +70,22 @@ class Broker:
     def address(self) -> str:
         """Where it is, for messages."""
         return f'MQTT {self.host}:{self.port}'
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReportBroker(Broker):
+    """A broker that gets reports.
+
+    Parameters
+    ----------
+    topic : str
+        What its topics begin with.
+    buffered : int
+        Most reports that are kept while the broker is away.
+    """
+
+    topic: str
+    buffered: int
 
 
 class _TlsFields(Fields):
@@ -92,21 +102,15 @@ class _TlsFields(Fields):
         return self
 
 
-class BrokerFile(Fields):
-    """Where the broker is and how the way to it is secured."""
+class BrokerFields(Fields):
+    """Where a broker is and how the way to it is secured."""
 
     host: Annotated[str, Text()] = Field(description='Name or address, as in its certificate')
     port: Annotated[int, Number(0, 65535, whole=True)] = Field(
         0, description=f'Port; 0 takes {PORT_TLS} with tls, else {PORT}'
     )
-    topic: Annotated[str, Text(r'[^#+/]+(/[^#+/]+)*')] = Field(
-        'fuzzycnc', description='What topics begin with'
-    )
     keep_alive: Annotated[int, Number(1, 3600, 's', whole=True)] = Field(
         5, description='Time after which a silent connection counts as lost [s]'
-    )
-    buffered: Annotated[int, Number(1, 1_000_000, whole=True)] = Field(
-        3600, description='Most reports that are kept while the broker is away, one a second'
     )
     tls: _TlsFields | None = Field(None, description='Security of the connection')
     credentials: File = Field(default_factory=Path, description='File with username and password')
@@ -115,9 +119,7 @@ class BrokerFile(Fields):
     )
 
     @model_validator(mode='after')
-    def _check(self) -> 'BrokerFile':
-        if any(mark in self.topic for mark in '#+') or '' in self.topic.split('/'):
-            raise wrong(f'expected words between slashes but found {self.topic!r}', 'topic')
+    def _check_password(self) -> 'BrokerFields':
         if self.credentials != Path() and self.tls is None and not self.allow_plain_password:
             raise wrong(
                 'expected tls beside it, since without it everybody on the network can read the '
@@ -126,8 +128,48 @@ class BrokerFile(Fields):
             )
         return self
 
+    @property
+    def entered(self) -> Path | None:
+        """File with user name and password, None if it names none."""
+        return self.credentials if self.credentials != Path() else None
 
-def read_broker(path: Path) -> Broker:
+    def way(self) -> dict[str, Any]:
+        """Return what all brokers have."""
+        tls = None
+        if self.tls is not None:
+            own = self.tls.certificate != Path()
+            tls = Tls(
+                ca=self.tls.ca,
+                certificate=self.tls.certificate if own else None,
+                private_key=self.tls.private_key if own else None,
+            )
+        return {
+            'host': self.host,
+            'port': self.port or (PORT if tls is None else PORT_TLS),
+            'keep_alive': self.keep_alive,
+            'tls': tls,
+            'credentials': self.entered,
+        }
+
+
+class BrokerFile(BrokerFields):
+    """The broker of a machine's reports."""
+
+    topic: Annotated[str, Text(r'[^#+/]+(/[^#+/]+)*')] = Field(
+        'fuzzycnc', description='What topics begin with'
+    )
+    buffered: Annotated[int, Number(1, 1_000_000, whole=True)] = Field(
+        3600, description='Most reports that are kept while the broker is away, one a second'
+    )
+
+    @model_validator(mode='after')
+    def _check_topic(self) -> 'BrokerFile':
+        if any(mark in self.topic for mark in '#+') or '' in self.topic.split('/'):
+            raise wrong(f'expected words between slashes but found {self.topic!r}', 'topic')
+        return self
+
+
+def read_broker(path: Path) -> ReportBroker:
     """Read and check a broker file, and the credentials that it names.
 
     Raises
@@ -136,23 +178,6 @@ def read_broker(path: Path) -> Broker:
         If something is missing, unknown or out of bounds; the text names file, line and field.
     """
     found = read_file(path, BrokerFile, 'a file of a broker')
-    tls = None
-    if found.tls is not None:
-        own = found.tls.certificate != Path()
-        tls = Tls(
-            ca=found.tls.ca,
-            certificate=found.tls.certificate if own else None,
-            private_key=found.tls.private_key if own else None,
-        )
-    credentials = found.credentials if found.credentials != Path() else None
-    if credentials is not None:
-        read_credentials(credentials)
-    return Broker(
-        host=found.host,
-        port=found.port or (PORT if tls is None else PORT_TLS),
-        topic=found.topic,
-        keep_alive=found.keep_alive,
-        buffered=found.buffered,
-        tls=tls,
-        credentials=credentials,
-    )
+    if found.entered is not None:
+        read_credentials(found.entered)
+    return ReportBroker(**found.way(), topic=found.topic, buffered=found.buffered)

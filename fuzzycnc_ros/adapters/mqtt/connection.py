@@ -9,7 +9,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from fuzzycnc_ros.adapters.mqtt.broker_file import Broker
+from fuzzycnc_ros.adapters.mqtt.broker_file import Broker, ReportBroker
 from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
 from fuzzycnc_ros.bags.secret_file import check_secret
 from fuzzycnc_ros.ros.parameters import ParameterError
@@ -35,7 +35,7 @@ class BrokerConnection:
 
     Parameters
     ----------
-    broker : Broker
+    broker : ReportBroker
         Where it is.
     machine : str
         Name of the machine; its topics are TOPIC/MACHINE/state and TOPIC/MACHINE/status.
@@ -46,14 +46,7 @@ class BrokerConnection:
         If the library is missing, or a certificate is of no use.
     """
 
-    def __init__(self, broker: Broker, machine: str) -> None:
-        try:
-            from paho.mqtt.client import Client
-            from paho.mqtt.enums import CallbackAPIVersion
-        except ImportError as error:
-            raise ParameterError(
-                f"MQTT needs paho-mqtt ({error}); run pip install 'fuzzycnc_ros[mqtt]'"
-            ) from error
+    def __init__(self, broker: ReportBroker, machine: str) -> None:
         self._broker = broker
         base = f'{broker.topic}/{machine}'
         self._state, self._status = f'{base}/state', f'{base}/status'
@@ -64,23 +57,11 @@ class BrokerConnection:
         self._trouble = 'not connected yet'
         self._refused = False
         self.sent = self.dropped = 0
-        self._client = client = Client(CallbackAPIVersion.VERSION2)
-        client.connect_timeout = CONNECT_TIMEOUT
+        self._client = client = new_client(broker)
         client.reconnect_delay_set(BACK_OFF_MAX // 2, BACK_OFF_MAX)
         client.will_set(self._status, OFFLINE, AT_LEAST_ONCE, retain=True)
         client.on_connect, client.on_connect_fail = self._on_connect, self._on_connect_fail
         client.on_disconnect, client.on_publish = self._on_disconnect, self._on_publish
-        if broker.tls is not None:
-            try:
-                if broker.tls.private_key is not None:
-                    check_secret(broker.tls.private_key, 'private_key')
-                client.tls_set(
-                    ca_certs=str(broker.tls.ca),
-                    certfile=_text(broker.tls.certificate),
-                    keyfile=_text(broker.tls.private_key),
-                )
-            except (OSError, ValueError) as error:  # those of ssl are among them
-                raise ParameterError(f'tls: a certificate is of no use ({error})') from error
         self._enter()
         client.connect_async(broker.host, broker.port, broker.keep_alive)
         client.loop_start()
@@ -168,6 +149,37 @@ class BrokerConnection:
 
     def _on_publish(self, client: Any, data: Any, mid: int, reason: Any, more: Any) -> None:
         self._confirmed.put(mid)
+
+
+def new_client(broker: Broker) -> Any:
+    """Return a client of the library, its way secured, that has not entered yet.
+
+    Raises
+    ------
+    ParameterError
+        If the library is missing, or a certificate is of no use.
+    """
+    try:
+        from paho.mqtt.client import Client
+        from paho.mqtt.enums import CallbackAPIVersion
+    except ImportError as error:
+        raise ParameterError(
+            f"MQTT needs paho-mqtt ({error}); run pip install 'fuzzycnc_ros[mqtt]'"
+        ) from error
+    client = Client(CallbackAPIVersion.VERSION2)
+    client.connect_timeout = CONNECT_TIMEOUT
+    if broker.tls is not None:
+        try:
+            if broker.tls.private_key is not None:
+                check_secret(broker.tls.private_key, 'private_key')
+            client.tls_set(
+                ca_certs=str(broker.tls.ca),
+                certfile=_text(broker.tls.certificate),
+                keyfile=_text(broker.tls.private_key),
+            )
+        except (OSError, ValueError) as error:  # those of ssl are among them
+            raise ParameterError(f'tls: a certificate is of no use ({error})') from error
+    return client
 
 
 def _text(path: Path | None) -> str | None:

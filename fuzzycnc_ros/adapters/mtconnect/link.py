@@ -17,10 +17,10 @@ from datetime import datetime, timezone
 from functools import partial
 from urllib.parse import quote
 
+from fuzzycnc_ros.adapters.mtconnect.device import Item, MtconnectDevice, Quantity
 from fuzzycnc_ros.adapters.mtconnect.documents import DataItem, Document, parse
-from fuzzycnc_ros.adapters.readings.devices import Item, MtconnectDevice, Quantity
 from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
-from fuzzycnc_ros.adapters.readings.plausible_value import no_temperature, scaled
+from fuzzycnc_ros.adapters.readings.plausible_value import NUMBER, no_temperature, scaled, shown
 
 HEARTBEAT = 1.0
 """Longest silence that the agent is asked for while nothing changes [s]."""
@@ -63,7 +63,6 @@ UNITS = {
 FILTER_MAX = 4000
 """Longest XPath in a request, as it is sent: the C++ agent takes a head of 8 KiB in all."""
 _PLAIN_ID = re.compile(r'[\w.-]+', re.ASCII)  # agents rewrite a path at slashes and colons
-_NUMBER = re.compile(r'[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?', re.ASCII)
 
 
 class MtconnectLink(Link):
@@ -321,9 +320,8 @@ def reading_of(channel: Item, item: DataItem, text: str) -> Reading:
     place = f'data item {channel.item}'
     if text == UNAVAILABLE:
         return f'{place}: the agent reports {UNAVAILABLE}'
-    if not _NUMBER.fullmatch(text):
-        shown = text if len(text) <= 40 else f'{text[:40]}...'
-        return f'{place}: expected a number but found {shown!r}'
+    if not NUMBER.fullmatch(text):
+        return f'{place}: expected a number but found {shown(text)}'
     raw = float(text)
     if raw in channel.open_circuit:
         return f'open circuit (raw value {text})'
@@ -334,7 +332,7 @@ def reading_of(channel: Item, item: DataItem, text: str) -> Reading:
             return f'{place}: expected one of {", ".join(units)} but found {found}'
         factor, offset = units[item.units]
         raw = (factor * raw + offset) / channel.unit
-    value = scaled(channel.scale, channel.offset, raw)
+    value = scaled(channel, raw)
     if channel.quantity is not Quantity.TEMPERATURE:
         return value
     if trouble := no_temperature(float(text), value):

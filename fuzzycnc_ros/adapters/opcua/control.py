@@ -87,6 +87,7 @@ class OpcUaControl(Controller[LineStatus, LineOrders, LineLimits]):
         self._file, self._name, self._pause = file, name, pause
         self._timeout = file.server.timeout
         self._claimed = False
+        self._shown_due: bool | None = None
         self._written = self._seen = 0
         self._loop = ConnectionLoop()
         self._session: OpcUaSession | None = None
@@ -99,6 +100,9 @@ class OpcUaControl(Controller[LineStatus, LineOrders, LineLimits]):
 
     def read(self) -> LineStatus:
         """Return state and read-back."""
+        if self.probe_due != self._shown_due:
+            self._write({'probe_due': self.probe_due})
+            self._shown_due = self.probe_due
         return self._status(self._ask())
 
     def write(self, orders: LineOrders) -> LineStatus:
@@ -196,6 +200,9 @@ class OpcUaControl(Controller[LineStatus, LineOrders, LineLimits]):
             position=self._column(found, 'position', np.nan),
             applied=self._column(found, 'applied'),
             spindle_speed=found.get('spindle_speed', np.nan),
+            coolant=found.get('coolant'),
+            spindle_load=found.get('spindle_load', np.nan),
+            probe=_probe(found),
             lines=Lines(
                 offset=self._column(found, 'offset'),
                 slope=self._column(found, 'slope', 0.0),
@@ -223,3 +230,13 @@ class OpcUaControl(Controller[LineStatus, LineOrders, LineLimits]):
     def _column(self, found: Mapping[str, Any], name: str, default: float = np.nan) -> Floats:
         axes: Iterable[str] = self._file.axes
         return np.array([found.get(f'{axis}.{name}', default) for axis in axes], np.float64)
+
+
+def _probe(found: Mapping[str, Any]) -> tuple[float, float] | None:
+    """Return code and number that a probing cycle told last, if there are variables for them.
+
+    They are read in one request, and the program writes the number first.
+    """
+    if 'probe_code' not in found:
+        return None
+    return float(found['probe_code']), float(found['probe_value'])

@@ -17,7 +17,7 @@ from fuzzycnc_ros.adapters.opcua.file_fields import PlaceFields, ServerFields, p
 from fuzzycnc_ros.adapters.opcua.offset_lines import Travel
 from fuzzycnc_ros.adapters.opcua.session import Address, node_id_trouble
 from fuzzycnc_ros.adapters.opcua.variables import ControlVariable, Kind
-from fuzzycnc_ros.adapters.readings.device_file import Scale, SpeedUnit
+from fuzzycnc_ros.adapters.readings.device_fields import Scale, SpeedUnit
 from fuzzycnc_ros.adapters.yaml_model import (
     Field,
     Fields,
@@ -96,6 +96,28 @@ class _State(Fields):
     spindle_speed: Annotated[Annotated[_Speed, Shorthand('node')] | None, _READ] = Field(
         None, description='Spindle speed'
     )
+    spindle_load: Annotated[_Scaled | None, _READ] = Field(
+        None, description='Load of the spindle drive; 1 is its rated one'
+    )
+    coolant: _Switch = Field(None, description='Coolant is on')
+
+
+class _Probe(Fields):
+    due: Annotated[_Named | None, _Role(Kind.SWITCH, written=True)] = Field(
+        None, description='A probing cycle is due: a program may call it'
+    )
+    code: Annotated[_Scaled | None, _READ] = Field(
+        None, description='Code that the cycle tells last, after its number'
+    )
+    value: Annotated[_Scaled | None, _READ] = Field(
+        None, description='Number that the cycle tells, a coordinate in mm'
+    )
+
+    @model_validator(mode='after')
+    def _check_pair(self) -> '_Probe':
+        if (self.code is None) != (self.value is None):
+            raise wrong('expected code and value, or none of them')
+        return self
 
 
 class _Axis(Fields):
@@ -141,6 +163,7 @@ class ControlFields(ServerFields):
     )
     hand_shake: _HandShake = Field(description='Variables by which sets are handed over')
     state: _State = Field(description='Variables with the state of the machine')
+    probe: _Probe | None = Field(None, description='Variables of a probing cycle, if there is one')
     axes: dict[str, _Axis] = Field(
         {},
         description='Axes that take offsets, by their letters',
@@ -178,6 +201,8 @@ class ControlFields(ServerFields):
         units['position_unit'] = LENGTHS[self.position_unit]
         found = {}
         sections: list[tuple[str, Fields]] = [('', self.hand_shake), ('', self.state)]
+        if self.probe is not None:
+            sections.append(('probe_', self.probe))
         for prefix, section in [*sections, *((f'{a}.', axis) for a, axis in self.axes.items())]:
             for name, item in type(section).model_fields.items():
                 role = next((m for m in item.metadata if isinstance(m, _Role)), None)

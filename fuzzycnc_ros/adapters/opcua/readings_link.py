@@ -6,20 +6,18 @@ import asyncio
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
+from fuzzycnc_ros.adapters.opcua.readings_device import OpcUaDevice, Variable
 from fuzzycnc_ros.adapters.opcua.session import (
     MESSAGE_MAX,
     NODES_MAX,
     UNKNOWN_NODE,
     OpcUaSession,
-    library_trouble,
-    node_id_trouble,
     unknown,
     value_of,
 )
-from fuzzycnc_ros.adapters.readings.devices import SPINDLE, OpcUaDevice, Variable
 from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
-from fuzzycnc_ros.adapters.readings.plausible_value import no_temperature, scaled
-from fuzzycnc_ros.ros.parameters import ParameterError
+from fuzzycnc_ros.adapters.readings.plausible_value import reading_of as reading
 
 if TYPE_CHECKING:
     from asyncua import ua
@@ -34,26 +32,6 @@ RESOLVE_AGAIN = 2.0
 start."""
 
 
-def check(device: OpcUaDevice) -> None:
-    """Check what only this protocol can check of a device of the file.
-
-    Raises
-    ------
-    ParameterError
-        If its library is missing, or a node id or the credentials are of no use.
-    """
-    if library_trouble():
-        raise ParameterError(f'device {device.name}: {library_trouble()}')
-    for channel in device.channels:
-        trouble = node_id_trouble(channel)
-        if trouble:
-            raise ParameterError(f'device {device.name}, sensor {channel.name}: {trouble}')
-    if device.credentials is not None:
-        from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
-
-        read_credentials(device.credentials)
-
-
 class OpcUaLink(Link):
     """One connection to an OPC UA server.
 
@@ -64,8 +42,6 @@ class OpcUaLink(Link):
     """
 
     def __init__(self, device: OpcUaDevice) -> None:
-        from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
-
         self._device = device
         self._session = OpcUaSession(device, 'fuzzycnc temperature_acquisition', read_credentials)
         self._node: list[ua.NodeId | None] = [None] * len(device.channels)
@@ -141,14 +117,5 @@ def reading_of(channel: Variable, data: Any) -> Reading:
         if status.name in UNKNOWN_NODE:
             return unknown(channel, status.name)
         return f'{channel.place}: the server reports {status.name}'
-    raw = value_of(data)
-    if isinstance(raw, bool) or not isinstance(raw, (int, float)):
-        text = repr(raw)
-        shown = text if len(text) <= 40 else f'{text[:40]}...'
-        return f'{channel.place}: expected a number but the variable holds {shown}'
-    if raw in channel.open_circuit:
-        return f'open circuit (raw value {raw})'
-    value = scaled(channel.scale, channel.offset, raw)
-    if channel.name != SPINDLE and (trouble := no_temperature(raw, value)):
-        return f'{channel.place}: {trouble}; is it the right variable, and the right scale?'
-    return value
+    remedy = 'is it the right variable, and the right scale?'
+    return reading(channel, value_of(data), channel.place, remedy, 'the variable holds')

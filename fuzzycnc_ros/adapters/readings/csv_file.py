@@ -11,11 +11,10 @@ from rclpy.node import Node
 from fuzzycnc_ros.adapters.readings.source import Readings, Source
 from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureAcquisitionConfig
-from fuzzycnc_ros.core.remedies import options_as
 from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.runtime.component import Health, Level
-from fuzzycnc_ros.runtime.records import SECOND, Floats
+from fuzzycnc_ros.runtime.records import SECOND
 
 FIRST_STAMP = SECOND
 """Earliest stamp that a file's readings get [ns]: stamp 0 means unknown in messages."""
@@ -42,7 +41,10 @@ class CsvFile(Source):
         self._node = node
         self._path = Path(config.csv_file).expanduser()
         try:
-            sensors, seconds, self._values, zone = _read(self._path, config.csv_time)
+            # Costs a second of start-up
+            from fuzzycnc_ros.bags.csv_table import read_sensor_table
+
+            sensors, seconds, self._values, zone = read_sensor_table(self._path, config.csv_time)
         except BagError as error:
             raise ParameterError(f'parameter csv_file: {error}') from error
         if zone:
@@ -84,20 +86,3 @@ class CsvFile(Source):
         if self._row == len(self._stamps):
             self._timer.cancel()
             self._node.get_logger().info(f'{self._path}: end of file after {self._row} rows')
-
-
-def _read(path: Path, time_column: str) -> tuple[list[str], Floats, Floats, str]:
-    """Return sensor names, times [s] and temperatures [degC] of a file, and its zone if needed."""
-    from fuzzycnc_ros.bags.csv_table import read_table  # costs a second of start-up
-
-    # Whatever else a table may need is an option of the command that makes a bag of it.
-    with options_as('`fuzzycnc import-csv --{}`'.format):
-        table = read_table(path)
-        table.require([time_column])
-        sensors = [name for name in table.header if name != time_column]
-        if not sensors:
-            raise BagError(f'{path}: expected a column for each sensor beside {time_column!r}')
-        times = table.time(time_column, 's')
-        start = times.date or 0.0 if times.form else float(table.column(time_column)[0])
-        values = np.stack([table.column(name) for name in sensors], axis=1)
-    return sensors, start + times.seconds, values, times.zone.name if times.zone else ''

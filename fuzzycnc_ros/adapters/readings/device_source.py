@@ -1,8 +1,7 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Driver: reads Modbus devices, OPC UA servers and MTConnect agents."""
+"""Driver: reads the devices of a file, whatever their protocols."""
 
-import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from queue import Empty
@@ -11,22 +10,8 @@ import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from fuzzycnc_ros.adapters.modbus import link as modbus
-from fuzzycnc_ros.adapters.modbus.serial_line import ModbusRtuLink
-from fuzzycnc_ros.adapters.mtconnect.link import MtconnectLink
-from fuzzycnc_ros.adapters.opcua import readings_link as opc_ua
-from fuzzycnc_ros.adapters.readings.devices import (
-    SPINDLE,
-    AnyDevice,
-    Channel,
-    Device,
-    ModbusDevice,
-    ModbusRtuDevice,
-    ModbusTcpDevice,
-    MtconnectDevice,
-    OpcUaDevice,
-)
-from fuzzycnc_ros.adapters.readings.link import Link, Reading
+from fuzzycnc_ros.adapters.readings.devices import SPINDLE, Channel, Device
+from fuzzycnc_ros.adapters.readings.link import Reading
 from fuzzycnc_ros.adapters.readings.polling import Polled, Poller
 from fuzzycnc_ros.adapters.readings.reading_sets import ReadingSets
 from fuzzycnc_ros.adapters.readings.source import Readings, Source
@@ -67,12 +52,15 @@ class DeviceSource(Source):
 
             self._devices = read_devices(path, state_directory)
             for device in self._devices:
-                _check(device, config)
+                if device.period > config.interval:
+                    raise ParameterError(
+                        f'device {device.name}: period = {device.period:g} s is longer than the '
+                        f'sampling interval = {config.interval:g} s; make interval at least '
+                        'as long'
+                    )
+                device.check()
         except ParameterError as error:
             raise ParameterError(f'parameter device_file: {error}') from error
-        # What they have to say is in the health of the devices, in the operator's words.
-        for name in ('asyncua', 'pymodbus'):
-            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
         self._node = node
         self._health = [DeviceHealth(device, config.interval) for device in self._devices]
         measuring = [i for i, device in enumerate(self._devices) if device.sensors]
@@ -86,7 +74,7 @@ class DeviceSource(Source):
         self._spindle = None if spindle is None else Spindle(node, frame_id, spindle)
         has_axes = any(device.axes for device in self._devices)
         self._positions = Positions(node, frame_id) if has_axes else None
-        self._poller = Poller(self._devices, connect, self._now)
+        self._poller = Poller(self._devices, self._now)
         look = min(device.period for device in self._devices) / 2.0
         # Wall time: devices are read in real time, whatever the node's clock says.
         wall_timer(node, min(max(look, LOOK_MIN), LOOK_MAX), self._take)
@@ -168,13 +156,13 @@ class DeviceHealth:
 
     Parameters
     ----------
-    device : AnyDevice
+    device : Device
         The device.
     interval : float
         Sampling interval [s]; values may not be older than that unnoticed.
     """
 
-    def __init__(self, device: AnyDevice, interval: float) -> None:
+    def __init__(self, device: Device, interval: float) -> None:
         self._device, self._interval = device, interval
         self._slow = ''
         self._lost: str | None = 'not connected yet'
@@ -274,31 +262,6 @@ class Positions:
         """Publish the positions of the axes of a device [m, rad], NaN where one is not known."""
         header = RCLPY.header(stamp, self._frame_id)
         self._publisher.publish(JointState(header=header, name=axes, position=position))
-
-
-def connect(device: Device) -> Link:
-    """Return a new link to a device, not yet open."""
-    if isinstance(device, ModbusTcpDevice):
-        return modbus.ModbusTcpLink(device)
-    if isinstance(device, ModbusRtuDevice):
-        return ModbusRtuLink(device)
-    if isinstance(device, MtconnectDevice):
-        return MtconnectLink(device)
-    assert isinstance(device, OpcUaDevice)
-    return opc_ua.OpcUaLink(device)
-
-
-def _check(device: AnyDevice, config: TemperatureAcquisitionConfig) -> None:
-    """Refuse what the node cannot do, before any thread is started."""
-    if device.period > config.interval:
-        raise ParameterError(
-            f'device {device.name}: period = {device.period:g} s is longer than the sampling '
-            f'interval = {config.interval:g} s; make interval at least as long'
-        )
-    if isinstance(device, ModbusDevice):
-        modbus.check(device)
-    elif isinstance(device, OpcUaDevice):
-        opc_ua.check(device)
 
 
 def _value(reading: Reading) -> float:

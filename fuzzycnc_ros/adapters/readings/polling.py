@@ -4,6 +4,7 @@
 
 import asyncio
 import contextlib
+import logging
 import threading
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,6 +24,8 @@ CATCH_UP = 0.5
 """Time by which readings may be late and still be made up for [s]; what is later is left out."""
 CLOSE_TIMEOUT = 1.0
 """Longest wait for a device that shall say goodbye [s]."""
+LIBRARIES = ('asyncua', 'paho', 'pymodbus', 'websockets')
+"""Libraries of protocols that write a log."""
 TEXT_MAX = 300
 """Longest text that is passed on: a part of it may come from the device."""
 
@@ -62,8 +65,6 @@ class Poller:
     ----------
     devices : sequence of Device
         What to read.
-    connect : callable
-        Makes a link to a device that is not yet open.
     now : callable
         Returns machine time [ns]; called in the thread.
 
@@ -76,11 +77,13 @@ class Poller:
     def __init__(
         self,
         devices: Sequence[Device],
-        connect: Callable[[Device], Link],
         now: Callable[[], int],
     ) -> None:
+        # What they have to say is in what is polled, in the operator's words.
+        for name in LIBRARIES:
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
         self.results: SimpleQueue[Polled] = SimpleQueue()
-        self._devices, self._connect, self._now = tuple(devices), connect, now
+        self._devices, self._now = tuple(devices), now
         self._loop: asyncio.AbstractEventLoop | None = None
         self._tasks: list[asyncio.Task[None]] = []
         self._ready = threading.Event()
@@ -115,7 +118,7 @@ class Poller:
         pause = BACK_OFF_FIRST
         while True:
             least = 0.0
-            link = self._connect(device)
+            link = device.connect()
             try:
                 await asyncio.wait_for(link.open(), device.timeout)
                 async for readings, took in _paced(link, device):

@@ -159,7 +159,7 @@ def compare(
 
 
 def tune(
-    out: Out,
+    out: Annotated[Path, typer.Option(metavar='FILE', help='Machine file to write.')],
     axis: Axis = '',
     machine_file: MachineFile = None,
     generations: Annotated[

@@ -31,7 +31,12 @@ _TITLES = ('axis', 'offset um', 'limit um', 'share', 'rate um/min', 'band um', '
 
 def screen(view: Mapping[str, Any], width: int = WIDTH, height: int = HEIGHT) -> Text:
     """Return the screen of a view, no wider and no higher than is said."""
-    head = [*_head(view, width), *_axes(view), *_sensors(view, width)]
+    head = [
+        *_head(view, width),
+        *_axes(view),
+        *_probing(view['probing']),
+        *_sensors(view, width),
+    ]
     tail = [*_model(view), *_nodes(view, width)]
     room = height - len(head) - len(tail)
     lines = head + _alarms(view['alarms'], width, room) + tail
@@ -100,6 +105,31 @@ def _axes(view: Mapping[str, Any]) -> list[Text]:
             predicted = _micro(probe['predicted'], '+.1f') or '?'
             probes.append(f'{told} (predicted {predicted} um){age}')
     lines.append(Text('last probe: ' + ('; '.join(probes) or 'none')))
+    return lines
+
+
+def _probing(probing: Mapping[str, Any] | None) -> list[Text]:
+    """Return when the next probe is due and why, and what the last one changed."""
+    if probing is None:
+        return []
+    style = 'yellow' if probing['due'] else ''
+    if probing['due']:
+        text = f'probe due: {probing["reason"]}'
+    elif probing['due_in'] is not None:
+        text = f'next probe due in about {_duration(probing["due_in"])}'
+    else:
+        text = 'no probe due'
+    changes = ', '.join(
+        f'{item["channel"]} {_micro(item["change"], "+.1f")} um' for item in probing['changes']
+    )
+    if changes:
+        text += f'; the last changed {changes}'
+    lines = [Text(text, style=style)]
+    cycle = probing['cycle']
+    if cycle is not None and (cycle['outcome'] or cycle['due'] or not probing['reason']):
+        told = cycle['outcome'] or cycle['reason']
+        style = '' if cycle['accepted'] else 'yellow'
+        lines.append(Text(f'probing cycle: {told}', style=style))
     return lines
 
 

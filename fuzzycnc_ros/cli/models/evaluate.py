@@ -132,7 +132,11 @@ def evaluate(
     from fuzzycnc_ros.cli.models.train import default_text, problem_lines
     from fuzzycnc_ros.core.thermal.fit.evaluation import false_bands
     from fuzzycnc_ros.core.thermal.model import load_model
-    from fuzzycnc_ros.studies.thermal.judged import overall_band_remarks, run_band_remark
+    from fuzzycnc_ros.studies.thermal.judged import (
+        narrow_band_remarks,
+        overall_band_remarks,
+        run_band_remark,
+    )
 
     processes = jobs_of(jobs)
     every = None
@@ -180,7 +184,10 @@ def evaluate(
         found: Sorted[Judged] = with_each(work, there, processes, tell)
     judged = [item.evaluation for item in found.results]
     bands = [run_band_remark(item, len(judged)) for item in judged]
+    probed = [item.probed for item in found.results if item.probed is not None]
     lines = [band for band in bands if band.warning] + overall_band_remarks(judged)
+    for each in probed:
+        lines += narrow_band_remarks(each.run, each.channel, each.covered)
     for line in lines:
         remark(line)
     _show(judged, trained)
@@ -195,7 +202,6 @@ def evaluate(
             say(text)
     for text in (line for item in found.results for line in item.doubts):
         say(f'warning: {text}')
-    probed = [item.probed for item in found.results if item.probed is not None]
     _show_probed(probed)
     say_bad(found.bad)
     say(f'default: {default_text(trained)}')

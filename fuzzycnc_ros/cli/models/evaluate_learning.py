@@ -8,7 +8,7 @@ from pathlib import Path
 import typer
 
 from fuzzycnc_ros.bags.finding import find_bags
-from fuzzycnc_ros.cli.console import progress_bar, say, show, write_json, write_report
+from fuzzycnc_ros.cli.console import progress_bar, remark, say, show, write_json, write_report
 from fuzzycnc_ros.cli.models.many_bags import runs_of, say_bad
 from fuzzycnc_ros.cli.quantities import quantity
 from fuzzycnc_ros.core.units import LENGTHS
@@ -49,6 +49,8 @@ def evaluate_from_nothing(
         for number, run in enumerate(read.results):
             tell(run.name, number, len(read.results))
             found.append(next(runs))
+    for narrow in learnt.narrow_bands(found):
+        remark(narrow)
     show(learnt.learnt_table(found))
     for line in learnt.learnt_lines(found):
         say(line)

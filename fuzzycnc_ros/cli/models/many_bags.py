@@ -158,17 +158,21 @@ def without_odd(
 ) -> 'Sorted[ThermalRun]':
     """Return the runs that have the sensors and channels of most of them, and what is left out.
 
+    A run that is the recording of an earlier one is left out, too.
+
     Raises
     ------
     ValueError
         If none is left.
     """
+    from fuzzycnc_ros.core.thermal.fingerprint import Fingerprint, copies
     from fuzzycnc_ros.core.thermal.fit.training_runs import unlike_most
 
     named = [
         (bag, run) for bag, run in zip(bags, found, strict=True) if not isinstance(run, BadBag)
     ]
-    odd = unlike_most([run for _, run in named])
+    odd = copies([Fingerprint.of(run) for _, run in named])
+    odd |= unlike_most([run for _, run in named])
     bad = [item for item in found if isinstance(item, BadBag)]
     bad += [BadBag(named[place][0], reason) for place, reason in odd.items()]
     good = tuple(run for place, (_, run) in enumerate(named) if place not in odd)

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is shown of feeds, axes and soft material, where their nodes run."""
+"""What is shown of feeds, axes, soft material and probing, where their nodes run."""
 
 from math import isfinite
 from typing import Any
@@ -11,12 +11,18 @@ from fuzzycnc_ros.components.dashboard.values import finite, value_of, word
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.runtime.enums import ServoStatus, TrajectoryStatus
 from fuzzycnc_ros.runtime.records import (
+    SECOND,
     AxisState,
     CompensatedPath,
     FeedSchedule,
+    ProbeCycleState,
+    ProbeStatus,
     ServoState,
     TrajectoryState,
 )
+
+CHANNELS_MAX = 20
+"""Channels of a probe whose change is shown."""
 
 
 def feeds_document(
@@ -81,3 +87,34 @@ def soft_document(path: CompensatedPath | None) -> dict[str, Any] | None:
         'offset_max': float(size.max()) if len(size) else None,
         'flagged': int(np.count_nonzero(path.flag)),
     }
+
+
+def probing_document(
+    status: ProbeStatus | None, cycle: ProbeCycleState | None, stamp: int | None
+) -> dict[str, Any] | None:
+    """Return when the last probe was, what it changed, and when the next is due; None without."""
+    if status is None and cycle is None:
+        return None
+    now = 0 if stamp is None else stamp
+    told: dict[str, Any] = {'due': False, 'reason': '', 'due_in': None, 'age': None, 'changes': []}
+    if status is not None:
+        told['due'], told['reason'] = status.due, visible(status.reason)
+        if status.due_at and not status.due:
+            told['due_in'] = max(0.0, (status.due_at - now) / SECOND)
+        if status.probed_at:
+            told['age'] = max(0.0, (now - status.probed_at) / SECOND)
+        told['changes'] = [
+            {'channel': visible(name), 'change': change}
+            for name, change in zip(status.channel, status.change.tolist(), strict=False)
+            if isfinite(change)
+        ][:CHANNELS_MAX]
+    told['cycle'] = None
+    if cycle is not None:
+        told['cycle'] = {
+            'due': cycle.due,
+            'reason': visible(cycle.reason),
+            'outcome': visible(cycle.outcome),
+            'accepted': cycle.accepted,
+            'failures': cycle.failures,
+        }
+    return told

@@ -16,6 +16,7 @@ from typing import Any
 
 from fuzzycnc_ros.components.dashboard.equipment import (
     feeds_document,
+    probing_document,
     servo_document,
     soft_document,
 )
@@ -44,6 +45,8 @@ from fuzzycnc_ros.runtime.records import (
     FeedSchedule,
     MachineState,
     PredictorState,
+    ProbeCycleState,
+    ProbeStatus,
     Record,
     SensorSelection,
     ServoState,
@@ -64,6 +67,8 @@ SOURCES: Mapping[str, type[Record]] = {
     'sensor_selection': SensorSelection,
     'thermal_reference': ThermalReference,
     'predictor_state': PredictorState,
+    'probe_status': ProbeStatus,
+    'probe_cycle_state': ProbeCycleState,
     'spindle_speed': SpindleSpeed,
     'feed_schedule': FeedSchedule,
     'trajectory_state': TrajectoryState,
@@ -309,6 +314,11 @@ class MachineView:
                 self._newest.get('servo_state'), self._newest.get('axis_state')
             ),
             'soft': soft_document(self._newest.get('compensated_path')),
+            'probing': probing_document(
+                self._newest.get('probe_status'),
+                self._newest.get('probe_cycle_state'),
+                self._stamp,
+            ),
         }
 
     # Records.
@@ -386,7 +396,8 @@ class MachineView:
             row[f'{name} probed'] = value
             if expected is not None:
                 row[f'{name} residual'] = value - expected
-            self._probes[axis] = (record.stamp, value, expected)
+            if channel == axis or axis not in record.channel:
+                self._probes[axis] = (record.stamp, value, expected)
         self.history['error'].add(record.stamp, row)
 
     def _on_axis_state(self, record: AxisState) -> None:

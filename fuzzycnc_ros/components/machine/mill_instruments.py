@@ -131,6 +131,7 @@ class Warmth(MillInstruments):
             OffsetInputConfig(
                 offset_max=config.offset_max,
                 slew_max=config.slew_max,
+                slope_max=config.slope_max,
                 validity_max=config.validity_max,
             ),
         )

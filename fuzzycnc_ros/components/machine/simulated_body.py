@@ -17,9 +17,8 @@ from fuzzycnc_ros.components.machine.simulated_machine_config import (
     DAY_START,
     MACHINE_DUTIES,
     SimulatedMachineConfig,
-    same_param,
 )
-from fuzzycnc_ros.core.config import Config, param
+from fuzzycnc_ros.core.config import Config, param, same_param
 from fuzzycnc_ros.runtime.component import Component, Emission, Health, Input, Level, Output
 from fuzzycnc_ros.runtime.records import (
     CompensationApplied,

@@ -3,11 +3,11 @@
 """Parameters of `simulated_machine`."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from types import MappingProxyType
-from typing import Any
 
-from fuzzycnc_ros.core.config import Config, param
+from fuzzycnc_ros.core.config import Config, param, same_param
+from fuzzycnc_ros.core.inputs.offset_input import OffsetInputConfig
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.thermal.duties import DUTIES, Duty, DutyBlock
 from fuzzycnc_ros.simulation.thermal.mill import DISPLACEMENT_NOISE, RPM
@@ -41,12 +41,6 @@ DAY_START = 6 * 3600.0
 
 
 _PREFIX = 'axis_'
-
-
-def same_param(config: type[Config], name: str) -> Any:
-    """Make a field with default, unit, bounds and text of a field of another configuration."""
-    item = {item.name: item for item in fields(config)}[name]
-    return field(default=item.default, metadata=item.metadata)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,6 +132,7 @@ class SimulatedMachineConfig(Config):
     slew_max: float = param(
         0.5e-6, 'm/s', "The machine's own limit of an offset's change", low=1e-9, high=1e-3
     )
+    slope_max: float = same_param(OffsetInputConfig, 'slope_max')
     validity_max: float = param(
         180.0,
         's',

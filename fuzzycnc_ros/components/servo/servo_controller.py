@@ -23,7 +23,6 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
     motion_doubt,
     profile_limits,
     trajectory_limits,
-    travel,
 )
 from fuzzycnc_ros.components.servo.setpoints import ServoLead
 from fuzzycnc_ros.runtime.component import (
@@ -70,13 +69,13 @@ class ServoController(Component[ServoControllerConfig]):
 
     def __init__(self, config: ServoControllerConfig | None = None) -> None:
         super().__init__(config)
-        self._known = self._config.file_axes
+        self._known = self._config.driven
         self._axes = [
             ServoAxis(
                 name,
                 controller,
-                travel(self._config, self._known.get(name)),
-                motion_doubt(self._config, self._known.get(name)),
+                (self._known[name].limits.travel_low, self._known[name].limits.travel_high),
+                motion_doubt(self._known[name]),
             )
             for name, controller in make_controllers(self._config).items()
         ]
@@ -345,7 +344,7 @@ class ServoController(Component[ServoControllerConfig]):
         try:
             ways = {
                 name: known[name].way(
-                    place, profile_limits(self._config, speed, self._known.get(name))
+                    place, profile_limits(self._config, speed, self._known[name])
                 )
                 for name, place, speed in _rows(command)
             }

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of `servo_controller`, and the controllers that they mean."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 from fuzzycnc_ros.components.servo.servo_axes import (
     FROM_FILE,
@@ -13,7 +13,7 @@ from fuzzycnc_ros.components.servo.servo_axes import (
 from fuzzycnc_ros.components.servo.servo_plausibility import MotionDoubt
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryInputConfig
-from fuzzycnc_ros.core.machine.machine_data import AxisData
+from fuzzycnc_ros.core.machine.machine_data import AxisData, AxisLimits
 from fuzzycnc_ros.core.servo.axis_control import (
     AXIS_CONTROLLERS,
     FOR_USE,
@@ -23,6 +23,9 @@ from fuzzycnc_ros.core.servo.built_in import BALLSCREW_SETTINGS, BUILT_IN_AXES, 
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 from fuzzycnc_ros.core.servo.profile import ProfileLimits
+
+_FREE = {item.name: item.metadata['high'] for item in fields(AxisLimits)}
+"""Limits that limit nothing."""
 
 SUITED = 'suited'
 """Stands for the controller that won on an axis after tuning with equal effort."""
@@ -141,7 +144,7 @@ class ServoControllerConfig(Config):
         axes = parse_axes('axes', self.axes)
         if not axes:
             raise ValueError('axes: expected one or more but found none')
-        known = self.file_axes
+        known = self._file_axes
         check_period('period', self.period, known)
         for axis, data in known.items():
             if self.axis_controller == FROM_FILE and not data.controller:
@@ -174,9 +177,26 @@ class ServoControllerConfig(Config):
             )
 
     @property
-    def file_axes(self) -> dict[str, AxisData]:
-        """The axes that are of a machine file, by name."""
+    def _file_axes(self) -> dict[str, AxisData]:
         return file_axes('axes', parse_axes('axes', self.axes), self.axis_data)
+
+    @property
+    def driven(self) -> dict[str, AxisData]:
+        """All axes by name; those that are built in have the limits of these parameters alone."""
+        limits = AxisLimits(
+            velocity=_FREE['velocity'],
+            acceleration=_FREE['acceleration'],
+            travel_low=self.travel_low,
+            travel_high=self.travel_high,
+            positioning_jerk=_FREE['positioning_jerk'],
+            load=self.load_max,
+            friction=self.friction_max,
+        )
+        known = self._file_axes
+        return {
+            name: known.get(name) or replace(BUILT_IN_AXES[model], limits=limits)
+            for name, model in parse_axes('axes', self.axes).items()
+        }
 
 
 def make_controllers(config: ServoControllerConfig) -> dict[str, AxisController]:
@@ -188,11 +208,12 @@ def make_controllers(config: ServoControllerConfig) -> dict[str, AxisController]
         If parameters do not fit each other.
     """
     found: dict[str, AxisController] = {}
-    known = config.file_axes
-    for name, model in parse_axes('axes', config.axes).items():
+    for (name, data), model in zip(
+        config.driven.items(), parse_axes('axes', config.axes).values(), strict=True
+    ):
         direction = -1.0 if name in config.reversed_axes else 1.0
-        if name in known:
-            found[name] = _file_controller(config, name, known[name])
+        if model == FROM_FILE:
+            found[name] = _file_controller(config, name, data)
         else:
             found[name] = built_in_controller(
                 model,
@@ -206,16 +227,11 @@ def make_controllers(config: ServoControllerConfig) -> dict[str, AxisController]
 
 
 def profile_limits(
-    config: ServoControllerConfig, velocity: float, data: AxisData | None = None
+    config: ServoControllerConfig, velocity: float, data: AxisData
 ) -> ProfileLimits:
-    """Return the limits of a motion that is at most so fast [m/s]; NaN asks for no less.
-
-    An axis of a machine file keeps its own limits, too.
-    """
-    top, acceleration, jerk = config.velocity_max, config.acceleration_max, config.jerk_max
-    if data is not None:
-        own = data.limits.positioning
-        top, acceleration, jerk = map(min, (top, acceleration, jerk), own)
+    """Return the limits of a motion that is at most so fast [m/s]; NaN asks for no less."""
+    given = config.velocity_max, config.acceleration_max, config.jerk_max
+    top, acceleration, jerk = map(min, given, data.limits.positioning)
     return ProfileLimits(
         velocity=min(velocity, top) if velocity == velocity else top,
         acceleration=acceleration,
@@ -224,8 +240,8 @@ def profile_limits(
 
 
 def trajectory_limits(config: ServoControllerConfig) -> TrajectoryInputConfig:
-    """Return what trajectories have to keep: what all axes of a machine file keep, too."""
-    limits = [data.limits for data in config.file_axes.values()]
+    """Return what trajectories have to keep: what all axes keep, too."""
+    limits = [data.limits for data in config.driven.values()]
     return TrajectoryInputConfig(
         period=config.period,
         velocity_max=min([config.trajectory_velocity_max, *(one.velocity for one in limits)]),
@@ -235,18 +251,9 @@ def trajectory_limits(config: ServoControllerConfig) -> TrajectoryInputConfig:
     )
 
 
-def travel(config: ServoControllerConfig, data: AxisData | None) -> tuple[float, float]:
-    """Return the lowest and highest position that an axis is sent to [m]."""
-    if data is not None:
-        return data.limits.travel_low, data.limits.travel_high
-    return config.travel_low, config.travel_high
-
-
-def motion_doubt(config: ServoControllerConfig, data: AxisData | None = None) -> MotionDoubt:
+def motion_doubt(data: AxisData) -> MotionDoubt:
     """Return what is believed possible of the motion of an axis."""
-    if data is not None:
-        return MotionDoubt(friction=data.limits.friction, load=data.limits.load)
-    return MotionDoubt(friction=config.friction_max, load=config.load_max)
+    return MotionDoubt(friction=data.limits.friction, load=data.limits.load)
 
 
 def _file_controller(config: ServoControllerConfig, name: str, data: AxisData) -> AxisController:

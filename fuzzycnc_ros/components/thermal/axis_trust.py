@@ -12,7 +12,7 @@ from fuzzycnc_ros.core.thermal.confirmation import is_right, is_wrong
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.records import Bools, Floats, Names, ProbeEvidence, Stamp, nanoseconds
 
-CAUTIOUS = {'band_share': 0.8, 'first_share': 0.5}
+CAUTIOUS = {'band_share': 0.8, 'first_share': 0.5, 'program_wait': 1800.0}
 """Parameters of the compensator where the error is learnt from probes."""
 
 HEARD_AFTER = 600.0
@@ -39,8 +39,21 @@ class AxisTrust:
         self._found: deque[ProbeEvidence] = deque(maxlen=FOUND_MAX)
         self._turn: int | None = None
         """Axis that is tried, of those that no probe has confirmed."""
-        self.known: Bools = np.zeros(len(axes), dtype=np.bool_)
-        """Axes whose error is known well enough, shape (c,)."""
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin with axes of which none is followed."""
+        self._known: Bools = np.zeros(len(self._axes), dtype=np.bool_)
+        self._share = np.zeros(len(self._axes))
+        """Share of the error that is followed, NaN where nobody knows yet."""
+        self._waiting = np.zeros(len(self._axes), dtype=np.int64)
+        """Since when another share waits for the end of a program [ns]; 0 if none does."""
+
+    def restore(self, followed: Bools) -> None:
+        """Go on where an earlier life had these axes (c,) followed, in a share that it knew."""
+        self.begin()
+        self._known = followed
+        self._share[followed] = np.nan
 
     def learn(self, found: ProbeEvidence) -> None:
         """Note what probes under an offset have said; the first channel speaks for an axis."""
@@ -53,6 +66,7 @@ class AxisTrust:
         deviation: Floats,
         band_share: float,
         first_share: float,
+        wait: float,
     ) -> Floats:
         """Return the part of the error (c,) [m] that is to be taken off, shape (c,) [m].
 
@@ -67,6 +81,9 @@ class AxisTrust:
             followed; it is no longer where the band is wider than that [-].  0 follows all.
         first_share : float
             Part of the error that is taken off until a probe confirms it [-].
+        wait : float
+            Time for which another share waits for the end of the program under way [s]; 0 where
+            no program runs.  One that is known to be wrong does not wait.
         """
         while self._found and self._found[0].stamp + nanoseconds(HEARD_AFTER) <= stamp:
             found = self._found.popleft()
@@ -80,23 +97,35 @@ class AxisTrust:
         size = self._part * np.abs(error)
         if band_share > 0.0:
             begins, goes_on = self._half <= band_share * size, self._half <= size
-            self.known = begins | (self.known & goes_on)
+            self._known = begins | (self._known & goes_on)
         else:
-            self.known = np.ones(len(self._axes), dtype=np.bool_)
+            self._known = np.ones(len(self._axes), dtype=np.bool_)
         if first_share < 1.0:
             self._take_turns(size)
-        return np.asarray(np.where(self.known, self._part * error, 0.0))
+        self._turn_to(np.where(self._known, self._part, 0.0), stamp, wait)
+        return np.asarray(np.where(self._share > 0.0, self._share * error, 0.0))
+
+    def _turn_to(self, wanted: Floats, stamp: Stamp, wait: float) -> None:
+        """Follow the wanted shares (c,), those that change once no program is disturbed."""
+        changed = wanted != self._share
+        self._waiting = np.where(changed, np.where(self._waiting, self._waiting, stamp), 0)
+        over = stamp - self._waiting >= nanoseconds(wait)
+        now = changed & (over | np.isnan(self._share) | is_wrong(self._evidence))
+        self._share = np.where(now, wanted, self._share)
+        self._waiting[now] = 0
 
     def _take_turns(self, size: Floats) -> None:
         """Try one axis at a time: where two that are swapped move alike, probes see no difference.
 
-        It is the one under way while its error is larger than its band, else the one whose error
-        is largest over that.
+        It is the one under way while its error is larger than its band, else the one of which
+        probes have said most, and of those the one whose error is largest over that.
         """
-        tried = self.known & (self._part > 0.0) & ~is_right(self._evidence)
+        tried = self._known & (self._part > 0.0) & ~is_right(self._evidence)
         with np.errstate(divide='ignore', invalid='ignore'):  # a band of no width is known
             ratio = np.where(tried, size / self._half, -np.inf)
         if self._turn is None or not ratio[self._turn] >= 1.0:
+            most = np.where(tried, self._evidence, -np.inf)
+            ratio[most < most.max()] = -np.inf
             self._turn = int(np.argmax(ratio)) if tried.any() else None
         if self._turn is not None:
             tried[self._turn] = False
@@ -104,16 +133,18 @@ class AxisTrust:
 
     def health(self) -> Iterator[Health]:
         """Report the axes that are not followed, or only in part, and why."""
-        wrong, waiting, partly = [], [], []
+        wrong, waiting, partly, delayed = [], [], [], []
         for number, axis in enumerate(self._axes):
             part, error, half = self._part[number], self._error[number], self._half[number]
+            if self._waiting[number]:
+                delayed.append(f'{axis} {100.0 * part * self._known[number]:.0f} %')
             if part == 0.0 and is_wrong(self._evidence)[number]:
                 wrong.append(axis)
             elif part == 0.0:
                 partly.append(f'{axis} after that')
-            elif not self.known[number] and np.isfinite(error):
+            elif not self._known[number] and np.isfinite(error):
                 waiting.append(f'{axis} {1e6 * error:+.1f} ± {1e6 * half:.1f} um')
-            elif self.known[number] and part < 1.0:
+            elif self._known[number] and part < 1.0:
                 partly.append(f'{axis} {100.0 * part:.0f} %')
         if wrong:
             text = (
@@ -128,3 +159,6 @@ class AxisTrust:
         if partly:
             text = f'followed in part until a probe confirms it: {", ".join(partly)}'
             yield Health('first activation', Level.OK, text)
+        if delayed:
+            text = f'followed anew when the program has ended: {", ".join(delayed)}'
+            yield Health('program', Level.OK, text)

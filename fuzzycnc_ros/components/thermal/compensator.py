@@ -30,6 +30,7 @@ from fuzzycnc_ros.runtime.component import (
 from fuzzycnc_ros.runtime.enums import (
     AppliedStatus,
     CompensationState,
+    MachineMode,
     Reason,
 )
 from fuzzycnc_ros.runtime.records import (
@@ -87,6 +88,15 @@ class CompensatorConfig(Config):
         low=0.1,
         high=1.0,
     )
+    program_wait: float = param(
+        0.0,
+        's',
+        'How long an axis that begins or ends to be followed waits for the end of a program that '
+        'runs; 0 does not wait',
+        low=0.0,
+        high=86400.0,
+        live=True,
+    )
     period: float = param(
         10.0, 's', 'Time between updates while offsets move without an input', low=0.01, high=600.0
     )
@@ -99,6 +109,10 @@ class CompensatorConfig(Config):
     validity: float = param(
         180.0, 's', 'How long the machine side may trust one message', low=0.01, high=7200.0
     )
+
+
+GUARDS = ('offset_max', 'error_max', 'slew_max')
+"""Limits within which an operator has allowed offsets."""
 
 
 class Compensator(Component[CompensatorConfig]):
@@ -138,6 +152,7 @@ class Compensator(Component[CompensatorConfig]):
         self._slewing = np.zeros(len(self._axes), bool)
         self._why = 'inactive'
         self._misread = ''
+        self._widened: list[str] = []
         self._trust = AxisTrust(self._axes)
 
     @staticmethod
@@ -160,8 +175,15 @@ class Compensator(Component[CompensatorConfig]):
             )
 
     def reconfigure(self, config: CompensatorConfig) -> None:
-        """Take new limits; they act from the next update on, within the slew limit."""
+        """Take new limits; they act from the next update on, within the slew limit.
+
+        Where an axis is tried before it is followed, what was allowed was allowed within the
+        limits of that moment: wider ones have to be allowed anew.
+        """
         self._check(config)
+        wider = [name for name in GUARDS if getattr(config, name) > getattr(self._config, name)]
+        if self._active and config.first_share < 1.0:
+            self._widened += [name for name in wider if name not in self._widened]
         super().reconfigure(config)
 
     @property
@@ -184,6 +206,7 @@ class Compensator(Component[CompensatorConfig]):
                 self._of_axes(error, error.standard_deviation),
                 self._config.band_share,
                 self._config.first_share,
+                self._config.program_wait if self._program_runs(error.stamp) else 0.0,
             )
             self._good_at = error.stamp
             self._bad_since = None
@@ -195,8 +218,12 @@ class Compensator(Component[CompensatorConfig]):
         yield self._update(error.stamp)
 
     def on_probe_evidence(self, evidence: ProbeEvidence) -> None:
-        """Note which axes probes under an offset have confirmed, for later errors."""
-        self._trust.learn(evidence)
+        """Note which axes probes under an offset have confirmed, for later errors.
+
+        That the probes of another machine are right says nothing of this one's.
+        """
+        if evidence.frame_id == self.frame('machine'):
+            self._trust.learn(evidence)
 
     def on_compensation_applied(self, applied: CompensationApplied) -> None:
         """Join the offsets in force: at first, and whenever the machine does not follow.
@@ -260,7 +287,7 @@ class Compensator(Component[CompensatorConfig]):
         self._state = CompensationState(record.state)
         self._offset, self._slewing = record.offset.copy(), record.slewing.copy()
         self._at_limit = record.at_limit.copy()
-        self._trust.known = record.offset != 0.0
+        self._trust.restore(record.offset != 0.0)
         if self._state is CompensationState.ACTIVE:
             self._bad_since = None
         self._wake_at = self._following_deadline(record.stamp)
@@ -316,7 +343,8 @@ class Compensator(Component[CompensatorConfig]):
         if self._active:
             return Answer(False, 'already active')
         self._active = True
-        self._trust.known[:] = False
+        self._widened.clear()
+        self._trust.begin()
         self._good_at = self._bad_since = self._wake_at = None
         self._moved_at = stamp
         self._why = 'waiting for the read-back of the machine and a valid thermal error'
@@ -386,6 +414,11 @@ class Compensator(Component[CompensatorConfig]):
         """Say why an error must not be followed; empty if it may."""
         if self._doubt:
             return self._doubt
+        if self._widened:
+            return (
+                f'{", ".join(self._widened)} was set wider than what was allowed; allow it: '
+                'deactivate, then activate'
+            )
         machine = self.newest(self.MACHINE, error.stamp)
         if machine is None:
             return 'no fresh machine_state'
@@ -406,6 +439,10 @@ class Compensator(Component[CompensatorConfig]):
                 f'what error_max lets a model say, but found {1e6 * value:g} um'
             )
         return ''
+
+    def _program_runs(self, stamp: int) -> bool:
+        machine = self.newest(self.MACHINE, stamp)
+        return machine is not None and machine.state == MachineMode.RUNNING
 
     def _of_axes(self, error: ThermalError, values: Floats) -> Floats:
         """Pick the value of each axis; the first channel speaks for an axis with several."""

@@ -212,7 +212,7 @@ class Probe:
         for name, along, *values in rows:
             if name in channel:
                 column = channel.index(name)
-            elif axis.count(along) == 1:
+            elif axis.count(along) == 1 and channel[axis.index(along)] not in self.channel:
                 column = axis.index(along)
             else:
                 continue

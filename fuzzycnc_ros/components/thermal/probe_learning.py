@@ -21,12 +21,23 @@ from fuzzycnc_ros.core.thermal.learning import Basis, Learner, Verdict
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.enums import ForgetMode
-from fuzzycnc_ros.runtime.records import SECOND, Bools, Floats, Stamp, ThermalPosterior
+from fuzzycnc_ros.runtime.records import (
+    SECOND,
+    Bools,
+    Floats,
+    ProbeStatus,
+    Stamp,
+    ThermalPosterior,
+    nanoseconds,
+)
 
 MISSED_MAX = 3.0
 """Root mean square of what probes missed, over the deviation expected [-], that is said aloud:
 the machine is not what the probes before have taught."""
 
+
+FORESEEN_MAX = 86400.0
+"""How far ahead it is told when a probe will be due [s]."""
 
 KEPT = 8
 """Probes before which can be gone back."""
@@ -76,6 +87,10 @@ class ProbeLearning:
         self._probed_at: Stamp | None = None
         self._doubt = ''
         self._deviation = np.full(channels, np.nan)
+        self._change = np.full(channels, np.nan)
+        """Change of the error by the newest probe, shape (c,) [m]."""
+        self._narrowest: tuple[Floats, Floats] | None = None
+        """When each band was narrowest since the newest probe [ns], and its half width [m]."""
         self.doubted: NDArray[np.int64] = np.zeros(channels, dtype=np.int64)
         """Number of probes of each channel that were not believed, shape (c,)."""
         self._before: deque[_Known] = deque(maxlen=KEPT)
@@ -180,6 +195,7 @@ class ProbeLearning:
         self._probes += verdicts == Verdict.ACCEPTED
         self.doubted += verdicts == Verdict.REJECTED
         self._learnt_at = self._probed_at = stamp
+        self._change, self._narrowest = self._learner.predict()[0] - before, None
         doubted = [
             f'{name} by {1e6 * value:+.1f} um'
             for name, value, verdict in zip(
@@ -308,6 +324,36 @@ class ProbeLearning:
             probes=self._probes.astype(np.uint64),
             evidence=self.evidence.copy(),
             memory=self._learner.memory,
+        )
+
+    def status(self, stamp: Stamp, frame_id: str) -> ProbeStatus | None:
+        """Return whether a probe is due at a sample, and when; None where nothing is learnt."""
+        if self._learner is None:
+            return None
+        half, wanted = WIDTH * self._deviation, self._config.band_wanted
+        wide = half > wanted
+        since, least = self._narrowest or (np.full(len(half), float(stamp)), half)
+        narrower = half <= least
+        since, least = np.where(narrower, float(stamp), since), np.where(narrower, half, least)
+        self._narrowest = since, least
+        growth = (half - least) / np.maximum(stamp - since, 1.0)
+        due_at = stamp if wide.any() else 0
+        reason = self._reason(wide) if wide.any() else 'the band is narrow enough'
+        if not due_at and (growth > 0.0).any():
+            left = float(((wanted - half)[growth > 0.0] / growth[growth > 0.0]).min())
+            if left < nanoseconds(FORESEEN_MAX):
+                due_at = stamp + round(left)
+        return ProbeStatus(
+            stamp=stamp,
+            frame_id=frame_id,
+            due=bool(wide.any()),
+            reason=reason,
+            due_at=due_at,
+            probed_at=self._probed_at or 0,
+            axis=self._model.axis,
+            channel=self._model.channel,
+            band=half,
+            change=self._change.copy(),
         )
 
     def health(self) -> list[Health]:

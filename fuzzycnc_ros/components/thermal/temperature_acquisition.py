@@ -16,6 +16,7 @@ import numpy as np
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.inputs.offsets import NEGLIGIBLE, describe
 from fuzzycnc_ros.core.names import repeated_names
+from fuzzycnc_ros.core.thermal.sensor_check import in_units
 from fuzzycnc_ros.core.thermal.sensor_limits import SensorLimits
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
@@ -50,8 +51,8 @@ class TemperatureAcquisitionConfig(Config):
         'topic',
         '-',
         'Where readings come from: topic = sensor_readings (simulated machine or another node), '
-        'temperature_topics = sensor_msgs/Temperature topics, csv = a file, devices = Modbus '
-        'devices, over TCP or a serial line, OPC UA servers and MTConnect agents',
+        'temperature_topics = sensor_msgs/Temperature topics, csv = a file, devices = those of '
+        'device_file, by whatever protocol',
         choices=('topic', 'temperature_topics', 'csv', 'devices'),
     )
     temperature_topics: tuple[str, ...] = param(
@@ -91,7 +92,7 @@ class TemperatureAcquisitionConfig(Config):
         '',
         '-',
         'File that names devices and where their values lie, for the source devices '
-        '(docs/how-to/temperature-drivers.md)',
+        '(docs/how-to/your-sensors.md)',
     )
     interval: float = param(60.0, 's', 'Sampling interval of the output', low=0.01, high=3600.0)
     range_low: float = param(
@@ -135,6 +136,8 @@ class TemperatureAcquisitionConfig(Config):
     )
 
 
+ROOM = 5.0, 45.0
+"""Temperatures of a machine that is not hot [degC], by which a wrong unit is recognised."""
 TINY = 1e-6
 """Size of a temperature below which it is none [degC], unless it is 0: bytes in a wrong order."""
 
@@ -273,7 +276,7 @@ class TemperatureAcquisition(Component[TemperatureAcquisitionConfig]):
         if self._refused:
             items.append(Health('readings', Level.ERROR, self._refused))
         bad = {
-            name: Status(verdict).name.lower() + self._why_missing(place)
+            name: Status(verdict).name.lower() + self._why(place)
             for place, (name, verdict) in enumerate(zip(self._sensor, self._status, strict=True))
             if verdict != Status.OK
         }
@@ -374,10 +377,15 @@ class TemperatureAcquisition(Component[TemperatureAcquisitionConfig]):
         self._trusted_at[good] = reading.stamp
         return status
 
-    def _why_missing(self, place: int) -> str:
+    def _why(self, place: int) -> str:
         """Return what a sensor reads that is no reading, if it reads anything."""
-        value = self._last[place]
-        if self._status[place] != Status.MISSING or not abs(value) < TINY:
+        value, status = float(self._last[place]), self._status[place]
+        if status == Status.OUT_OF_RANGE and np.isfinite(value):
+            low, high = ROOM
+            found = in_units(value).items()
+            fits = [f'{real:.1f} degC if in {unit}' for unit, real in found if low < real < high]
+            return f' (reads {value:.5g} degC; that is {", ".join(fits)})' if fits else ''
+        if status != Status.MISSING or not abs(value) < TINY:
             return ''
         if value == 0.0:
             return ' (has read 0 since the start)'

@@ -43,6 +43,7 @@ from fuzzycnc_ros.runtime.records import (
     MachineState,
     PredictorState,
     ProbeEvidence,
+    ProbeStatus,
     Record,
     SensorSelection,
     SpindleSpeed,
@@ -267,6 +268,7 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
         Output('predictor_state', PredictorState, LATCHED, persistent=True),
         Output('thermal_posterior', ThermalPosterior, LATCHED, persistent=True),
         Output('probe_evidence', ProbeEvidence, LATCHED, persistent=True),
+        Output('probe_status', ProbeStatus, LATCHED),
     )
 
     def __init__(self, config: ThermalPredictorConfig | None = None) -> None:
@@ -375,10 +377,15 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
         return fresh, []
 
     def restore(self, output: str, record: Record) -> None:
-        """Take back the checkpoint of an earlier life, and what it has learnt."""
+        """Take back the checkpoint of an earlier life, and what it has learnt.
+
+        Of another machine's memory all counts but that its probes are right.
+        """
         if isinstance(record, PredictorState):
             self._stream.checkpoint = record
         if isinstance(record, ThermalPosterior):
+            if record.frame_id != self.frame('machine'):
+                record = replace(record, evidence=np.zeros_like(record.evidence))
             self._stream.memory = record
 
     def on_sensor_selection(self, selection: SensorSelection) -> None:
@@ -435,6 +442,9 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
             learnt = self._swap.in_use.learnt(sample.stamp, self.frame('machine'))
             if learnt is not None:
                 yield from self._learnt(learnt)
+            status = self._swap.in_use.learning.status(sample.stamp, self.frame('machine'))
+            if status is not None:
+                yield Emission('probe_status', status)
 
     def _begin_with_nothing(self) -> None:
         """Begin to learn all of the error, once sensors and sampling interval are known."""

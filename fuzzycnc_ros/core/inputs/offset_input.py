@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Offset input of a machine: the machine side of compensation, with its own limits.
 
-It trusts nobody.  Whatever it is told, the offsets in force stay within the size limit, move no
-faster than the slew limit and go to zero by themselves when the newest command expires.
+It trusts nobody.  Whatever it is told, the offsets in force stay within the size limit, and go to
+zero by themselves when the newest command expires.  They move for two reasons, each with a limit
+of its own: what is asked for at a place changes no faster than the slew limit, and along a slope
+they follow the axis, as fast as that can move.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,6 +37,12 @@ class OffsetInputConfig(Config):
 
     offset_max: float = param(60e-6, 'm', 'Largest offset of an axis', low=1e-6, high=1e-3)
     slew_max: float = param(5e-6, 'm/s', 'Fastest change of an offset', low=1e-9, high=1e-3)
+    slope_max: float = param(
+        500e-6, '-', 'Largest offset per length of travel', low=0.0, high=0.01
+    )
+    speed_max: float = param(
+        1.0, 'm/s', 'Fastest motion of an axis; a faster one was none', low=0.001, high=100.0
+    )
     lead_max: float = param(
         5.0, 's', 'How far ahead of the machine a command may be stamped', low=0.0, high=3600.0
     )
@@ -131,6 +139,7 @@ class OffsetInput:
         self._applied = np.zeros(len(axes))
         self._position = np.full(len(axes), np.nan)
         self._at_limit = np.zeros(len(axes), dtype=bool)
+        self._travelled_to = start
         self._newest: _Command | None = None  # owner of the input, also after its expiry
         self._before: _Command | None = None
         self._in_force = False
@@ -265,7 +274,7 @@ class OffsetInput:
         offset : array_like, shape (len(axis),)
             Offset at the reference position [m]; cut at the size limit when it acts.
         slope : array_like, shape (len(axis),), optional
-            Offset per length of travel [-]; zero if left out.
+            Offset per length of travel [-]; zero if left out, cut at its limit.
         reference_position : array_like, shape (len(axis),), optional
             Position at which the slope has no effect [m]; zero if left out.
         stamp : int
@@ -305,6 +314,8 @@ class OffsetInput:
         full = {name: np.zeros(len(self._axes)) for name in columns}
         for name, values in columns.items():
             full[name][rows] = values
+        steep = np.abs(full['slope']) > self._config.slope_max
+        full['slope'] = np.clip(full['slope'], -self._config.slope_max, self._config.slope_max)
         # A predecessor that is still waiting for its own stamp never acted: it is replaced.
         if self._in_force and self._newest and self._newest.stamp <= self._time:
             self._before = self._newest
@@ -314,7 +325,9 @@ class OffsetInput:
         self._in_force = True
         self._withdrawal = ''
         cut = np.abs(self._newest.target(self._position)) > self._config.offset_max
-        return OffsetAnswer(True, self._cut_text(cut))
+        slopes = ', '.join(np.array(self._axes)[steep])
+        text = f'slope of {slopes} cut at {1e6 * self._config.slope_max:g} um/m' if slopes else ''
+        return OffsetAnswer(True, '; '.join(part for part in (self._cut_text(cut), text) if part))
 
     def advance(self, time: int, position: ArrayLike | None = None) -> NDArray[np.float64]:
         """Move the offsets on to `time`.
@@ -347,7 +360,7 @@ class OffsetInput:
                     f'but found shape {given.shape}'
                 )
             known = np.abs(given) <= _PLAUSIBLE['reference_position']  # false for NaN
-            self._position = np.where(known, given, self._position)
+            self._travel(np.where(known, given, self._position), time)
         before = self._applied
         if self._before and self._newest:
             self._follow(self._before, min(time, self._newest.stamp))
@@ -361,6 +374,24 @@ class OffsetInput:
         reach = self._config.slew_max * self._step_max
         self._applied = np.clip(self._applied, before - reach, before + reach)
         return self.applied
+
+    def _travel(self, position: NDArray[np.float64], time: int) -> None:
+        """Let the offsets go along their slopes to a position [m].
+
+        A position that leaps is told by a control that homes, or by mistake: nothing moved.
+        """
+        moved = np.nan_to_num(position - self._position)
+        reach = self._config.speed_max * 1e-9 * (time - self._travelled_to)
+        self._position, self._travelled_to = position, time
+        command = self._before or self._newest
+        if command is None or not self._in_force:
+            return
+        most = self._config.offset_max
+        change = np.clip(command.target(position), -most, most)
+        change = change - np.clip(command.target(position - moved), -most, most)
+        limit = np.maximum(most, np.abs(self._applied))
+        along = self._applied + np.where(np.abs(moved) <= reach, change, 0.0)
+        self._applied = np.clip(along, -limit, limit)
 
     def _follow(self, command: _Command, time: int) -> None:
         """Follow a command until `time` or its expiry, whichever is first."""

@@ -16,18 +16,22 @@ from numpy.typing import NDArray
 from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 
-CONFIRMED, CONTRADICTED = 0.5, -3.0
+CONFIRMED, CONTRADICTED = 1.0, -3.0
 """Evidence from which on the probes of a channel are right, or wrong [-]."""
 
 STEP_MAX = 2.0
 """Most evidence of one probe [-]: there may be a chip under it."""
+
+EVIDENCE_KEPT = 3.0
+"""Most evidence [-]: three probes that contradict it outweigh all that spoke for it before."""
 
 
 def judged(evidence: float, missed: float, deviation: float, offset: float) -> float:
     """Return the evidence for right probes after one under an offset.
 
     It is the logarithm of the likelihood of what the probe misses the prediction by, over that
-    of a probe which misses by the size of the offset.  A decision stays.
+    of a probe which misses by the size of the offset.  That probes are wrong stays; that they are
+    right is tried on.
 
     Parameters
     ----------
@@ -45,19 +49,14 @@ def judged(evidence: float, missed: float, deviation: float, offset: float) -> f
     >>> round(judged(0.0, 0.5e-6, 1e-6, 6e-6), 2), judged(-2.0, 12e-6, 1e-6, 6e-6)
     (1.68, -4.0)
     """
-    if decided(evidence):
+    if evidence <= CONTRADICTED:
         return evidence
     right = deviation * deviation
     wrong = right + offset * offset
     ratio = 0.5 * (
         float(portable.log(wrong / right)) - missed * missed * (1.0 / right - 1.0 / wrong)
     )
-    return evidence + float(np.clip(ratio, -STEP_MAX, STEP_MAX))
-
-
-def decided(evidence: float) -> bool:
-    """Return whether probes are known to be right or wrong."""
-    return not CONTRADICTED < evidence < CONFIRMED
+    return min(evidence + float(np.clip(ratio, -STEP_MAX, STEP_MAX)), EVIDENCE_KEPT)
 
 
 def is_right(evidence: Array) -> NDArray[np.bool_]:

@@ -14,6 +14,7 @@ References
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from hashlib import blake2b
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,9 @@ KEPT = 256
 
 DIGITS = 12
 """Hexadecimal digits of a hash."""
+
+COPY_SHARE = 0.5
+"""Share of common samples from which two runs are taken for one recording [-]."""
 
 
 @dataclass(frozen=True)
@@ -183,3 +187,18 @@ def _shingles(
         group = table[first : first + SHINGLE]
         if (group != group[0]).any():
             yield blake2b(group.tobytes(), digest_size=DIGITS // 2).hexdigest()
+
+
+def copies(runs: Sequence[Fingerprint]) -> dict[int, str]:
+    """Return the runs that are the recording of an earlier one, by their place, and why so.
+
+    What is held out would be trained on.
+    """
+    found: dict[int, str] = {}
+    for (_, first), (place, second) in combinations(enumerate(runs), 2):
+        if place not in found and (share := first.shared(second)) > COPY_SHARE:
+            found[place] = (
+                f'run {second.run!r}: expected another recording than {first.run!r}, but '
+                f'found {100.0 * share:.0f} % of its samples in it; leave one of them out'
+            )
+    return found

@@ -263,7 +263,8 @@ class Posterior:
     -----
     A probe is a Kalman update, O(p^2).  One that is improbable is doubted: it moves the expected
     error to the border of the band and no further.  If the next one is off alike the machine has
-    changed: it is known less, and both are learnt.  Else it is as if the first had never been.
+    changed: it is known less, and both are learnt.  Else the first is learnt where the second has
+    made it probable; if not it is as if it had never been.
     `tune` learns the scales anew from the last probes, and the weights with them.  Everything is
     computed in a fixed order with `portable`, so that a replay has the same digits on every
     processor.
@@ -472,6 +473,9 @@ class Posterior:
             self._rebuild()
         if self._probable(probe) or self._probable_on_other_scales(probe):
             self._believe(probe)
+            if doubted is not None and self._probable(doubted):
+                self._probes.insert(-1, doubted)
+                self._rebuild()
             return Verdict.ACCEPTED
         if doubted is not None and self._agree(doubted, probe):
             self.forget()

@@ -229,7 +229,9 @@ class _Course:
         self, name: str, seen: dict[str, list[Any]], config: ServoControllerConfig
     ) -> None:
         self._name, self._config = name, config
-        self._data = config.file_axes.get(name)
+        axes = config.driven
+        # A bag without parameters tells of an axis that the default ones do not have.
+        self._data = axes.get(name) or next(iter(axes.values()))
         self._commands = sorted(seen['position_command'], key=lambda item: item.stamp)
         self._period = nanoseconds(config.period)
         self._known = False

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -126,7 +127,8 @@ def learn_track(paths: Sequence[RecordedPath], path_id: str | None, gain: float)
     Raises
     ------
     ValueError
-        If there is no such track, or the runs are not of one cycle of one track on one material.
+        If there is no such track, or the runs are not of one cycle of one track on one material,
+        or one is there twice.
     """
     known = sorted({path.path_id for path in paths})
     if path_id is not None and path_id not in known:
@@ -143,6 +145,7 @@ def learn_track(paths: Sequence[RecordedPath], path_id: str | None, gain: float)
     track = StitchOffsets(first.path_id, first.material.name, first.nominal, first.offset)
     for run in runs[1:]:
         _check_same(track, first, run)
+    _check_copies(runs)
     stitched = np.stack([run.stitched for run in runs])
     before = CompensatedPath.unchanged(first.nominal)
     commanded = CompensatedPath(
@@ -192,6 +195,16 @@ def _check_same(track: StitchOffsets, first: RecordedPath, run: RecordedPath) ->
             f'{run.source}: expected the offsets of {first.source} but found others by up to '
             f'{1e3 * apart:.3f} mm; give the runs of the last cycle alone'
         )
+
+
+def _check_copies(runs: Sequence[RecordedPath]) -> None:
+    """Refuse a run that is there twice: its noise would look like what comes again."""
+    for first, second in combinations(runs, 2):
+        if np.array_equal(first.stitched, second.stitched):
+            raise ValueError(
+                f'{second.source}: expected another run than {first.source} but found the same '
+                'stitches; give each run once'
+            )
 
 
 def _other(paths: Sequence[RecordedPath]) -> RecordedPath:

@@ -162,6 +162,35 @@ def band_remark(
     )
 
 
+NARROW = 0.8
+"""Share of the samples of a run in the band of what was learnt, below which it is said first."""
+
+
+def narrow_band_remarks(
+    run: str, channel: Sequence[str], covered: NDArray[np.float64]
+) -> list[Remark]:
+    """Return that the band of what probes have taught holds too little of a run, if it does.
+
+    Parameters
+    ----------
+    run : str
+        Name of the run.
+    channel : sequence of str, length c
+        Channels.
+    covered : ndarray, shape (c,)
+        Share of the samples in the band [-]; NaN where nothing was measured.
+    """
+    narrow = [
+        f'{100.0 * share:.0f} % of {name}'
+        for name, share in zip(channel, covered, strict=True)
+        if share < NARROW
+    ]
+    if not narrow:
+        return []
+    text = f'{run}: the band of what was learnt holds {", ".join(narrow)}; it promises 95 %'
+    return [Remark(f'{text}: probe more often', True)]
+
+
 _ADVICE = 'do not rely on it, and train on runs like this as well'
 
 

@@ -21,9 +21,11 @@ from fuzzycnc_ros.core.thermal.learning import Basis, Learner, Verdict
 from fuzzycnc_ros.core.thermal.run import JITTER_MAX, ThermalRun, speed_known
 from fuzzycnc_ros.studies.page.chart import Axis, Band, Chart, Panel, Rule, Series
 from fuzzycnc_ros.studies.page.drawing import AFTER, BEFORE, FAINT, MEASURED, MUTED, time_axis
-from fuzzycnc_ros.studies.page.html import Figure, Page, Section
+from fuzzycnc_ros.studies.page.html import Figure, Page, Remark, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.thermal.probed import check_every
+from fuzzycnc_ros.studies.thermal.comparison import residual_document
+from fuzzycnc_ros.studies.thermal.judged import narrow_band_remarks
+from fuzzycnc_ros.studies.thermal.probed import by_channel, check_every
 from fuzzycnc_ros.studies.thermal.report_data import Score
 from fuzzycnc_ros.studies.thermal.summary import micrometres
 
@@ -81,6 +83,11 @@ class LearntRun:
     deviation: Array
     covered: Mapping[str, Array]
     half_width: Mapping[str, Array]
+
+    @property
+    def inside(self) -> Array:
+        """Share of all samples within the band, shape (c,) [-]."""
+        return coverage(self.measured - self.predicted, self.deviation)
 
 
 def learn_runs(
@@ -212,7 +219,7 @@ def learnt_table(found: Sequence[LearntRun]) -> Table:
     rows = []
     for item in found:
         cells = [item.run, '/'.join(map(str, dict.fromkeys(item.probes.tolist())))]
-        inside = coverage(item.measured - item.predicted, item.deviation)
+        inside = item.inside
         for channel in range(len(item.channel)):
             cells += [
                 micrometres(item.rms[name][channel])
@@ -249,38 +256,41 @@ def learnt_lines(found: Sequence[LearntRun]) -> list[str]:
     return lines
 
 
+def narrow_bands(found: Sequence[LearntRun]) -> list[Remark]:
+    """Return the runs of which the band holds too little, a sentence each."""
+    return [
+        remark
+        for item in found
+        for remark in narrow_band_remarks(item.run, item.channel, item.inside)
+    ]
+
+
 def learnt_document(found: Sequence[LearntRun]) -> dict[str, Any]:
     """Return all figures.
 
     Returns
     -------
     dict
-        `every_s`; `runs`: run -> channel -> `probes`, `doubted`, row -> `rms_um` and `max_um`, and
-        phase -> share `covered` and `half_width_per_rms` of the band.
+        `every_s`; `runs`: run -> row -> channel -> `rms_um` and `max_um`; `probes`, `doubted`:
+        run -> channel -> number; `band`: run -> phase -> channel -> share `covered` of the band
+        and its `half_width_per_rms`.
     """
     return {
         'every_s': found[0].every,
         'runs': {
+            item.run: residual_document(item.channel, item.rms, item.largest) for item in found
+        },
+        'probes': {item.run: by_channel(item.channel, item.probes) for item in found},
+        'doubted': {item.run: by_channel(item.channel, item.doubted) for item in found},
+        'band': {
             item.run: {
-                name: {
-                    'probes': int(item.probes[c]),
-                    'doubted': int(item.doubted[c]),
-                    'residual': {
-                        row: {
-                            'rms_um': 1e6 * float(item.rms[row][c]),
-                            'max_um': 1e6 * float(item.largest[row][c]),
-                        }
-                        for row in item.rms
-                    },
-                    'band': {
-                        phase: {
-                            'covered': float(item.covered[phase][c]),
-                            'half_width_per_rms': float(item.half_width[phase][c]),
-                        }
-                        for phase in PHASES
-                    },
+                phase: {
+                    name: {'covered': float(inside), 'half_width_per_rms': float(width)}
+                    for name, inside, width in zip(
+                        item.channel, item.covered[phase], item.half_width[phase], strict=True
+                    )
                 }
-                for c, name in enumerate(item.channel)
+                for phase in PHASES
             }
             for item in found
         },
@@ -289,7 +299,8 @@ def learnt_document(found: Sequence[LearntRun]) -> dict[str, Any]:
 
 def learnt_page(found: Sequence[LearntRun], facts: Mapping[str, str]) -> Page:
     """Return the page of all runs."""
-    table = Section('Runs', tables=(learnt_table(found),), remarks=learnt_lines(found))
+    remarks = [line.text for line in narrow_bands(found)] + learnt_lines(found)
+    table = Section('Runs', tables=(learnt_table(found),), remarks=remarks)
     figures = [
         Figure(
             f'{item.run}: error, prediction and probes',

@@ -306,9 +306,9 @@ def probed_document(probed: Sequence[ProbedEvaluation]) -> dict[str, Any]:
             item.run: residual_document(item.channel, item.rms, item.largest) for item in probed
         },
         'overall': overall_document(probed),
-        'samples': {item.run: _by_channel(item, item.samples) for item in probed},
-        'probes': {item.run: _by_channel(item, item.probes) for item in probed},
-        'doubted': {item.run: _by_channel(item, item.doubted) for item in probed},
+        'samples': {item.run: by_channel(item.channel, item.samples) for item in probed},
+        'probes': {item.run: by_channel(item.channel, item.probes) for item in probed},
+        'doubted': {item.run: by_channel(item.channel, item.doubted) for item in probed},
         'covered': {
             item.run: dict(zip(item.channel, item.covered.tolist(), strict=True))
             for item in probed
@@ -373,5 +373,6 @@ def _range(count: Counts) -> str:
     return str(low) if low == high else f'{low} to {high}'
 
 
-def _by_channel(item: ProbedEvaluation, count: Counts) -> dict[str, int]:
-    return {name: int(number) for name, number in zip(item.channel, count, strict=True)}
+def by_channel(channel: Sequence[str], count: Counts) -> dict[str, int]:
+    """Return a count (c,) of each channel."""
+    return dict(zip(channel, count.tolist(), strict=True))

@@ -86,6 +86,20 @@ export function withBand(predicted, band) {
   return `${number(predicted * 1e6, 1, true)}${spread}\u00a0µm`;
 }
 
+/** Return when the next probe is due and why, and what the last one changed. */
+export function probingText({due, reason, due_in: left, age, changes}) {
+  const next = due ? `Probe due: ${reason}`
+    : left === null ? 'No probe due' : `Next probe due in about ${duration(left)}`;
+  const changed = changes.map(({channel, change}) => (
+    `${channel} ${micrometres(change, {signed: true})}`)).join(', ');
+  return age === null ? `${next}.` : `${next}. The last, ${duration(age)} ago, changed ${changed}.`;
+}
+
+/** Return the newest outcome of the probing cycle, or whether it is due. */
+function cycleText(cycle) {
+  return `Probing cycle: ${cycle.outcome || `${cycle.due ? 'due, ' : ''}${cycle.reason}`}.`;
+}
+
 /** Return the elements of one alarm. */
 function buildAlarm(alarm) {
   return make('li', {class: 'alarm', data: {level: alarm.level}},
@@ -130,6 +144,12 @@ export function showOperator(panel, view) {
   panel.querySelector('#no-alarms').hidden = alarms.length > 0;
   match(panel.querySelector('#alarms'), alarms, alarmKey, buildAlarm,
     (row, alarm) => updateAlarm(row, alarm, view.stamp));
+
+  const {probing} = view;
+  panel.querySelector('#probing').hidden = !probing;
+  panel.querySelector('#probing-cycle').hidden = !probing?.cycle;
+  field(panel, 'probing', probing ? probingText(probing) : '');
+  field(panel, 'probing cycle', probing?.cycle ? cycleText(probing.cycle) : '');
 
   const {sensors} = view;
   field(panel, 'sensors ok', String(sensors.ok));

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from benches.bridge_bench import Compensated
 from benches.linuxcnc_rig import CYCLE, HOLD, RATE, SCALE, SLEW, Controller, Rig, settled
+from benches.probe_rig import zeroed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_bridge import LinuxcncBridge, LinuxcncBridgeConfig
 from fuzzycnc_ros.adapters.linuxcnc.status import ControllerLimits
-from fuzzycnc_ros.runtime.enums import AppliedStatus
+from fuzzycnc_ros.adapters.probing.programs import BEGIN, END
+from fuzzycnc_ros.runtime.enums import AppliedStatus, Coolant, TouchKind
 from fuzzycnc_ros.runtime.records import nanoseconds
 
 
@@ -33,6 +35,63 @@ def test_follows_at_the_slew_limit():
     assert rig.allowed
     assert rig.largest_step <= SLEW * CYCLE + SCALE
     assert rig.last.epoch == 1
+
+
+def test_touches_of_a_probing_cycle_are_passed_on_once():
+    rig = Rig(active=False)
+    rig.controller.probe = (5.0, 12.0)  # of an older cycle
+    rig.run(0.1)
+    for code, value in ((BEGIN, 4711.0), (1.0, -52.5), (2.0, -52.5), (-3.0, 0.0), (END, 0.0)):
+        rig.controller.probe = (code, value)
+        rig.run(0.1)
+    found = [(item.kind, item.number) for item in rig.bench.records('probe_touch')]
+    assert found == [
+        (TouchKind.BEGIN, 4711),
+        (TouchKind.TOUCH, 1),
+        (TouchKind.TOUCH, 2),
+        (TouchKind.MISS, 3),
+        (TouchKind.END, 0),
+    ]
+    touch = rig.bench.records('probe_touch')[1]
+    assert touch.position == pytest.approx(-0.0525)
+    assert touch.includes_offset
+
+
+def test_a_clock_that_stands_still_loses_no_touch():
+    rig = Rig(active=False)
+    stamps = []
+    for code in (7.0, BEGIN, 1.0, 2.0):
+        for _ in range(2):
+            rig.controller.probe = (code, 0.0)
+            found = rig.bridge.observe(nanoseconds(5.0), rig.controller.cycle())
+            stamps += [item.record.stamp for item in found if item.output == 'probe_touch']
+    assert len(set(stamps)) == 3
+
+
+def test_what_the_axes_have_moved_is_told():
+    rig = Rig(active=False)
+    rig.run(0.1)
+    for step in range(100):
+        rig.controller.position = np.array([1e-3 * (step % 2), 1e-3 * step, 0.0])
+        rig.run(CYCLE)
+    rig.run(1.0)
+    state = rig.bench.records('machine_state')[-1]
+    np.testing.assert_allclose(state.travel, [0.099, 0.099, 0.0], atol=1e-9)
+    np.testing.assert_allclose(state.square_speed, [0.0099, 0.0099, 0.0], rtol=1e-6)
+    assert state.coolant == Coolant.UNKNOWN
+    rig.bench.emitted += rig.bridge.lose(nanoseconds(rig.time), 'it has ended')
+    rig.controller.position = np.array([0.0, 5.0, 0.0])
+    rig.run(1.0)
+    assert rig.bench.records('machine_state')[-1].travel[1] == pytest.approx(0.099)
+
+
+def test_what_is_due_is_shown():
+    rig = Rig(active=False)
+    assert not rig.bridge.probe_due
+    state = replace(zeroed().state, due=True)
+    rig.bench.push('probe_cycle_state', state)
+    rig.bench.until(state.stamp * 1e-9)
+    assert rig.bridge.probe_due
 
 
 def test_counts_are_whole():

@@ -23,7 +23,7 @@ from fuzzycnc_ros.adapters.mtconnect.documents import DataItem, Document, parse
 from fuzzycnc_ros.adapters.mtconnect.link import FILTER_MAX, path_of
 from fuzzycnc_ros.adapters.readings import polling
 from fuzzycnc_ros.adapters.readings.device_file import read_devices
-from fuzzycnc_ros.adapters.readings.device_source import DeviceHealth, connect
+from fuzzycnc_ros.adapters.readings.device_source import DeviceHealth
 from fuzzycnc_ros.adapters.readings.polling import TEXT_MAX, Poller
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.runtime.component import Level
@@ -83,7 +83,7 @@ def poll(tmp_path, monkeypatch):
         places['timeout'] = 0.3 if hurries else 30.0
         path.write_text(FILE.format(sensors=sensors, axes=axes, **places) + more)
         (device,) = read_devices(path)
-        pollers.append(Poller([device], connect, time.monotonic_ns))
+        pollers.append(Poller([device], time.monotonic_ns))
         pollers[-1].device = device
         return pollers[-1]
 

@@ -16,7 +16,6 @@ from processes import free_port
 from fuzzycnc_ros.adapters.mtconnect import shdr_server
 from fuzzycnc_ros.adapters.mtconnect.shdr_server import BEHIND_MAX, CLIENTS_MAX, ShdrServer
 from fuzzycnc_ros.adapters.readings.device_file import read_devices
-from fuzzycnc_ros.adapters.readings.device_source import connect
 from fuzzycnc_ros.adapters.readings.polling import Poller
 from fuzzycnc_ros.components.report.shdr import Shdr
 from fuzzycnc_ros.ros.parameters import ParameterError
@@ -157,7 +156,7 @@ def test_the_agent_of_the_institute_reads_the_adapter_and_is_read(server, tmp_pa
         'sensors: {T1: temperature_front_bearing, T2: temperature_rear, T3: offset_Z}}]'
     )
     agent.start()
-    poller = Poller(read_devices(path), connect, time.monotonic_ns)
+    poller = Poller(read_devices(path), time.monotonic_ns)
 
     def wait(wanted):
         deadline = time.monotonic() + TIMEOUT

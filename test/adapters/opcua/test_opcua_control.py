@@ -451,3 +451,37 @@ def test_secured_server_with_credentials(field, tmp_path):
     path = control_file(tmp_path, server.port, timeout=5.0)
     with pytest.raises(LinkError, match='does not offer this connection'), connected(path):
         pass
+
+
+PROBE = """\
+probe:
+  due: ns=2;s=probe_due
+  code: ns=2;s=double
+  value: ns=2;s=float
+"""
+
+
+def test_a_probing_cycle_is_read_and_shown_what_is_due(server, field, tmp_path):
+    path = control_file(tmp_path, server.port, FILE + PROBE)
+    with connected(path) as adapter:
+        assert adapter.read().probe == (0.0, 0.0)
+        adapter.probe_due = True
+        field.call(server.put('float', -52.5))
+        field.call(server.put('double', 3.0))
+        assert adapter.read().probe == (3.0, -52.5)
+        assert field.call(server.get('probe_due')) is True
+        adapter.probe_due = False
+        adapter.read()
+        assert field.call(server.get('probe_due')) is False
+    field.call(server.put('double', 0.0))
+    field.call(server.put('float', 0.0))
+
+
+def test_code_and_value_of_a_probing_cycle_go_together(server, tmp_path):
+    text = FILE + PROBE.replace('  value: ns=2;s=float\n', '')
+    path = control_file(tmp_path, server.port, text)
+    with pytest.raises(ParameterError, match=r'expected code and value, or none of them'):
+        read_control(path)
+    with connected(control_file(tmp_path, server.port)) as adapter:
+        adapter.probe_due = True
+        assert adapter.read().probe is None

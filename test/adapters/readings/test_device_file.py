@@ -16,10 +16,11 @@ from hypothesis import strategies as st
 
 pytest.importorskip('rclpy')
 
+from fuzzycnc_ros.adapters.modbus.devices import FORMATS, Register, SerialLine
 from fuzzycnc_ros.adapters.modbus.registers import REGISTERS_MAX, blocks, value_of
 from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
-from fuzzycnc_ros.adapters.readings.device_file import DeviceFile, read_devices
-from fuzzycnc_ros.adapters.readings.devices import FORMATS, SPINDLE, Register, SerialLine
+from fuzzycnc_ros.adapters.readings.device_file import DRIVERS, DeviceFile, read_devices
+from fuzzycnc_ros.adapters.readings.devices import SPINDLE
 from fuzzycnc_ros.ros.parameters import ParameterError
 
 pytestmark = pytest.mark.ros
@@ -232,11 +233,47 @@ def test_credentials(tmp_path):
         read_credentials(path)
 
 
+def examples_of(root):
+    """Return the device files of the docs and of the examples."""
+    how_to, examples = root / 'docs' / 'how-to', root / 'examples'
+    pages = [how_to / 'your-sensors.md', how_to / 'temperature-drivers.md']
+    shown = re.compile(r'^```yaml\n(devices:\n.*?)^```', re.M | re.S)
+    found = [text for page in pages for text in shown.findall(page.read_text())]
+    files = [*examples.glob('sensors/*.yaml'), examples / 'devices.yaml']
+    return [*found, *(file.read_text() for file in files)]
+
+
+def test_every_file_of_the_table_is_there_and_of_its_protocol(root, read, tmp_path):
+    page = (root / 'docs' / 'how-to' / 'your-sensors.md').read_text()
+    for name in ('broker.pem', 'broker-user.yaml'):
+        (tmp_path / name).touch()
+    rows = re.findall(r'^\| .* \| \[`(\w+)`\].* \| `(sensors/\w+\.yaml)` \|$', page, re.M)
+    assert {file for _, file in rows} == {
+        f'sensors/{path.name}' for path in (root / 'examples' / 'sensors').glob('*')
+    }
+    for protocol, file in rows:
+        text = (root / 'examples' / file).read_text()
+        assert len(text.splitlines()) <= 13  # three are its head
+        assert f'protocol: {protocol}\n' in text
+        assert read(text)
+
+
+def test_what_drivers_share_names_none_of_them_but_in_one_line(root):
+    folder = root / 'fuzzycnc_ros' / 'adapters'
+    own = {folder / f'{p.partition(":")[0].replace(".", "/")}.py' for p in DRIVERS.values()}
+    shared = {*folder.glob('*.py'), *folder.glob('readings/*.py')} - own
+    for protocol, place in DRIVERS.items():
+        lines = [line for path in shared for line in path.read_text().splitlines()]
+        naming = [line.strip() for line in lines if f"'{protocol}'" in line]
+        assert naming == [f"'{protocol}': '{place}',"]
+
+
 def test_every_example_of_the_docs_is_a_device_file(root, read, tmp_path):
-    page = (root / 'docs' / 'how-to' / 'temperature-drivers.md').read_text()
-    examples = re.findall(r'^```yaml\n(devices:\n.*?)^```', page, re.M | re.S)
-    assert len(examples) >= 2
+    examples = examples_of(root)
+    assert len(examples) >= 12
     for name in ('own.der', 'own-key.pem', 'control.der', 'control-user.yaml'):
+        (tmp_path / name).touch()
+    for name in ('broker.pem', 'broker-user.yaml'):
         (tmp_path / name).touch()
     for example in examples:
         assert read(example)
@@ -245,9 +282,7 @@ def test_every_example_of_the_docs_is_a_device_file(root, read, tmp_path):
 def test_the_schema_takes_what_is_read_and_refuses_what_is_not(root):
     jsonschema = pytest.importorskip('jsonschema')
     validator = jsonschema.Draft202012Validator(DeviceFile.model_json_schema())
-    page = (root / 'docs' / 'how-to' / 'temperature-drivers.md').read_text()
-    examples = re.findall(r'^```yaml\n(devices:\n.*?)^```', page, re.M | re.S)
-    for text in [*examples, MODBUS, OPC_UA]:
+    for text in [*examples_of(root), MODBUS, OPC_UA]:
         validator.validate(yaml.safe_load(text))
     wrong = [
         ('T1: 0', 'T1: 70000'),
@@ -381,3 +416,38 @@ devices:
     path.write_text(text.format(rate=-1))
     with pytest.raises(ParameterError, match='rate_max'):
         read_devices(path)
+
+
+NTC = MODBUS.replace('scale: 0.1', 'ntc: {beta: 3950, divider: {fixed: 4700, supply: 4095}}')
+
+
+def test_a_thermistor_is_of_all_sensors_or_of_one(read):
+    (device,) = read(NTC.replace('T1: 0', 'T1: {register: 0, ntc: {beta: 3435}, offset: -0.4}'))
+    one, two, _, spindle = device.channels
+    assert one.ntc.temperature(10e3) == pytest.approx(25.0)
+    assert value_of(one, [10_000]) == pytest.approx(24.6)
+    assert two.ntc.supply == 4095.0
+    assert spindle.ntc is None
+    text = value_of(two, [0])
+    assert 'raw value 0 is none of its thermistor: broken wire, short circuit' in text
+
+
+@pytest.mark.parametrize(
+    ('ntc', 'text'),
+    [
+        ('{resistance: 10000}', 'expected either beta, with resistance and at, or steinhart_hart'),
+        ('{}', 'expected either beta'),
+        ('{beta: 3950, steinhart_hart: [1, 2, 3]}', 'expected either beta'),
+        ('{steinhart_hart: [1, 2]}', 'expected the three coefficients a, b, c but found 2'),
+        ('{steinhart_hart: [1.1, 2.3, 0.8]}', 'it gives no temperature from -80 to 400 degC'),
+        ('{beta: 39.5}', 'expected a number from 100 to 20000 K but found 39.5'),
+        ('{beta: 3950, divider: {fixed: 4700}}', "expected the field 'supply' but it is missing"),
+        (
+            '{beta: 3950, divider: {fixed: 4700, supply: 5, ntc: top}}',
+            'expected one of low, high but found',
+        ),
+    ],
+)
+def test_wrong_thermistors_are_refused(read, ntc, text):
+    with pytest.raises(ParameterError, match=re.escape(text)):
+        read(NTC.replace('{beta: 3950, divider: {fixed: 4700, supply: 4095}}', ntc))

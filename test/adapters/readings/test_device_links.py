@@ -20,11 +20,10 @@ from equipment.polled import TIMEOUT, close, good, lost, wait
 from equipment.secured_server import PINNING, SECURITY, secured, user_file
 
 from fuzzycnc_ros.adapters.modbus import link as modbus
-from fuzzycnc_ros.adapters.opcua import readings_link as opc_ua
 from fuzzycnc_ros.adapters.opcua import session as opcua_session
 from fuzzycnc_ros.adapters.readings import polling
 from fuzzycnc_ros.adapters.readings.device_file import read_devices
-from fuzzycnc_ros.adapters.readings.device_source import DeviceHealth, connect
+from fuzzycnc_ros.adapters.readings.device_source import DeviceHealth
 from fuzzycnc_ros.adapters.readings.polling import TEXT_MAX, Poller
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.runtime.component import Level
@@ -72,7 +71,7 @@ def poll(tmp_path):
                 host=LOCAL, port=server.port, sensors=sensors, timeout=timeout, more=more
             )
         )
-        pollers.append(Poller(read_devices(path), connect, time.monotonic_ns))
+        pollers.append(Poller(read_devices(path), time.monotonic_ns))
         return pollers[-1]
 
     yield begin
@@ -175,6 +174,28 @@ def test_whole_numbers_in_a_wrong_order_jump_and_are_no_reading(field, poll):
         'little'
     )
     assert right == pytest.approx([27.1, 27.1])
+
+
+def test_floats_in_a_wrong_order_that_stay_at_zero_are_no_reading(field, poll):
+    """A byte order that gives plausible temperatures: 23.5 degC reads -0.012."""
+
+    def registers(celsius):
+        wrong = [swapped(word) for word in words_of(celsius)]
+        return dict(enumerate([*wrong, *words_of(celsius / 1000.0)]))
+
+    server = field.add(ModbusServer(registers(23.5)))
+    poller = poll(FLOATS, server, '{T1: 0, T2: 2}')
+    assert wait(poller, good).readings[0] == pytest.approx(-0.0118, abs=1e-4)
+    for hundredths in range(2351, 2358):
+        server.words |= registers(0.01 * hundredths)
+        now = pytest.approx(1e-5 * hundredths)
+        wait(poller, lambda item, now=now: good(item) and item.readings[1] == now)
+    wrong, cold = wait(
+        poller, lambda item: good(item) and isinstance(item.readings[0], str)
+    ).readings
+    assert wrong.startswith('stays at -0.012 degC; compare word_order, byte_order')
+    assert '23.57 with byte_order little' in wrong
+    assert cold == pytest.approx(0.02357)  # no order makes more of it
 
 
 def test_many_registers_take_several_requests(field, poll):
@@ -320,7 +341,7 @@ def test_wrong_node_id_is_refused_before_any_connection(tmp_path):
     )
     (device,) = read_devices(path)
     with pytest.raises(ParameterError, match="sensor T1: expected a node id but found 'ns=2;g=12"):
-        opc_ua.check(device)
+        device.check()
 
 
 @pytest.mark.slow

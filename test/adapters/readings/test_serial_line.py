@@ -18,7 +18,7 @@ from equipment.serial_cable import Cable
 from fuzzycnc_ros.adapters.modbus.serial_line import QUIET
 from fuzzycnc_ros.adapters.readings import polling
 from fuzzycnc_ros.adapters.readings.device_file import read_devices
-from fuzzycnc_ros.adapters.readings.device_source import DeviceHealth, connect
+from fuzzycnc_ros.adapters.readings.device_source import DeviceHealth
 from fuzzycnc_ros.adapters.readings.polling import Poller
 from fuzzycnc_ros.runtime.component import Level
 
@@ -65,7 +65,7 @@ class Line:
         )
         devices = read_devices(path)
         self.health = [DeviceHealth(device, interval=60.0) for device in devices]
-        self.poller = Poller(devices, connect, time.monotonic_ns)
+        self.poller = Poller(devices, time.monotonic_ns)
 
     def set(self, fault):
         self.field.call(self.cable.set(fault))

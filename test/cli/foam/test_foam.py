@@ -220,6 +220,15 @@ def test_a_sheet_that_does_not_give_way_gets_no_correction(fuzzycnc, tmp_path):
     assert not read_offsets((tmp_path / 'o.json').read_text()).offset.any()
 
 
+def test_a_run_given_twice_is_no_proof_that_its_noise_repeats(refused, tmp_path):
+    noise = np.random.default_rng(0).normal(0.0, 1e-4, TRACK.points.shape)
+    for name in ('run.csv', 'copy.csv'):
+        write_stitches(tmp_path / name, TRACK.points, TRACK.points + noise)
+    naming = ['copy.csv', 'another run than run.csv']
+    refused('foam', 'learn', 'run.csv', 'copy.csv', *OF_CIRCLE, '--out', 'o.json', naming=naming)
+    assert not (tmp_path / 'o.json').exists()
+
+
 def test_stitches_far_off_their_neighbours_are_named_and_left_out(fuzzycnc, tmp_path):
     sheet = FoamSheet(15e-3, (0.15, 0.1))
     stitched = sheet.stitch(TRACK.points, 6e-3)

@@ -98,3 +98,27 @@ def test_a_machine_that_says_nothing_is_shown():
     text = screen(MachineView('mill').document(0.0), WIDTH, HEIGHT).plain
     assert 'no data yet' in text
     assert 'ABSENT' in text
+
+
+def test_it_tells_when_the_next_probe_is_due_and_why(view):
+    document = view.document(0.1)
+    assert 'probe due' not in screen(document, WIDTH, 200).plain
+    told = {
+        'due': True,
+        'reason': 'known: Z to 9 um',
+        'due_in': None,
+        'age': 60.0,
+        'changes': [{'channel': 'Z', 'change': -1.5e-6}],
+        'cycle': {
+            'due': True,
+            'reason': '',
+            'outcome': 'a chip',
+            'accepted': False,
+            'failures': 1,
+        },
+    }
+    text = screen({**document, 'probing': told}, WIDTH, 200).plain
+    assert 'probe due: known: Z to 9 um; the last changed Z -1.5 um' in text
+    assert 'probing cycle: a chip' in text
+    text = screen({**document, 'probing': {**told, 'due': False, 'due_in': 5400.0}}, WIDTH, 200)
+    assert 'next probe due in about' in text.plain

@@ -194,13 +194,15 @@ def odd_bags(fuzzycnc, bag, table):
         outcome = fuzzycnc('import-csv', table('t.csv', columns), '--out', name, *IMPORT)
         assert outcome.code == 0, outcome
         bad.append(Path(name))
-    return good, [*bad, Path('gone')]
+    shutil.copytree(good[0], 'copied')
+    return good, [*bad, Path('copied'), Path('gone')]
 
 
 REASONS = {
     'loose': '10 K per minute',
     'silent': '--drop-sensor t2',
     'renamed': 'expected sensor t1, t2, t3 as in run',
+    'copied': "expected another recording than 'a'",
     'gone': 'nothing is there',
 }
 
@@ -224,8 +226,10 @@ def test_a_training_leaves_out_what_cannot_be_used_if_asked_to(fuzzycnc, refused
     refused('train', *bad[-1:], *options, 'x.json', '--skip-bad', naming=['gone'])
 
 
-def test_other_commands_leave_the_same_out(fuzzycnc, here, odd_bags):
+def test_other_commands_leave_the_same_out(fuzzycnc, refused, here, odd_bags):
     good, bad = odd_bags
+    naming = [REASONS['copied']]
+    refused('curve', *good, Path('copied'), '--counts', '1', naming=naming)
     options = ('--counts', '1', '--skip-bad', '--json', 'c.json')
     outcome = fuzzycnc('curve', *good, *bad, *options)
     assert outcome.code == 0, outcome

@@ -91,10 +91,10 @@ def test_from_nothing_all_is_learnt_from_probes(fuzzycnc, bag):
     runs = [read_run(place) for place in bags[:2]]
     expected = list(learn_runs(runs, 1200.0, noise=0.3e-6))
     for item in expected:
-        channel = figures['runs'][item.run]['dz']
-        assert channel['probes'] == item.probes[0] == 4
+        assert figures['probes'][item.run]['dz'] == item.probes[0] == 4
         for name, rms in item.rms.items():
-            assert channel['residual'][name]['rms_um'] == pytest.approx(1e6 * rms[0])
+            found = figures['runs'][item.run][name]['dz']['rms_um']
+            assert found == pytest.approx(1e6 * rms[0])
     page = Path('e.html').read_text()
     for text in (outcome.out, page):
         assert 'Learnt from nothing, probed every 20 min' in text

@@ -3,6 +3,7 @@
 """The view of a machine: what records and nodes say, no more and no less."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,6 +29,8 @@ from fuzzycnc_ros.runtime.records import (
     Displacement,
     FeedSchedule,
     MachineState,
+    ProbeCycleState,
+    ProbeStatus,
     SensorCluster,
     SensorSelection,
     ServoState,
@@ -635,3 +638,65 @@ def test_a_compensator_that_was_shut_down_for_good_is_told_so():
     shown = document(view)
     assert 'was shut down for good; end its process' in shown['state']['why']
     assert shown['nodes'][0]['lifecycle'] == 'finalized'
+
+
+def status(**more):
+    given = {
+        'due': False,
+        'reason': 'the band is narrow enough',
+        'due_at': START + 5400 * SECOND,
+        'probed_at': START - 600 * SECOND,
+        'axis': ('Y', 'Z'),
+        'channel': ('Y', 'Z'),
+        'band': np.array([2e-6, 3e-6]),
+        'change': np.array([1.5e-6, np.nan]),
+    }
+    return ProbeStatus(stamp=START, **{**given, **more})
+
+
+def cycle_state(**more):
+    given = {
+        'due': True,
+        'reason': 'wide',
+        'outcome': '',
+        'accepted': True,
+        'failures': 0,
+        'signature': 1,
+        'reference_stamp': START,
+        'zero': np.zeros(1),
+        'size': np.zeros(1),
+        'noise': np.zeros(1),
+    }
+    return ProbeCycleState(stamp=START, **{**given, **more})
+
+
+def test_probing_tells_what_the_last_changed_and_when_the_next_is_due():
+    view = running()
+    assert view.document(0.0)['probing'] is None
+    view.take('probe_status', status(), 0.0)
+    now = view.document(0.0)['stamp'] * SECOND
+    told = view.document(0.0)['probing']
+    assert told['age'] == pytest.approx((now - START) / SECOND + 600.0)
+    assert told['due_in'] == pytest.approx(5400.0 - (now - START) / SECOND)
+    assert told['changes'] == [{'channel': 'Y', 'change': 1.5e-6}]
+    assert told['cycle'] is None
+    view.take('probe_status', status(due=True, reason='Z to 9 um'), 0.0)
+    view.take('probe_cycle_state', cycle_state(outcome='a chip', accepted=False), 0.0)
+    told = view.document(0.0)['probing']
+    assert (told['due'], told['reason'], told['due_in']) == (True, 'Z to 9 um', None)
+    assert told['cycle']['outcome'] == 'a chip'
+
+
+def test_the_first_place_of_an_axis_is_its_probe():
+    view = running()
+    record = replace(
+        probe(1e-6),
+        axis=('Y', 'Y'),
+        channel=('Y', 'Y right'),
+        displacement=np.array([1e-6, 9e-6]),
+        standard_deviation=np.full(2, 1e-7),
+        position=np.zeros(2),
+    )
+    view.take('displacement', record, 0.0)
+    (axis,) = (item for item in view.document(0.0)['axes'] if item['axis'] == 'Y')
+    assert axis['probe']['measured'] == 1e-6

@@ -25,9 +25,9 @@ def moved(plant, target, *, model='lathe', rest=0.3):
     """Move a plant; return the axis that did it and the period of its fault, if there was one."""
     config = ServoControllerConfig(axes=(f'X:{model}',))
     (controller,) = make_controllers(config).values()
-    axis = ServoAxis('X', controller, (-1.0, 1.0), motion_doubt(config))
+    axis = ServoAxis('X', controller, (-1.0, 1.0), motion_doubt(config.driven['X']))
     axis.hold(plant.measure())
-    way = axis.way(target, profile_limits(config, float('nan')))
+    way = axis.way(target, profile_limits(config, float('nan'), config.driven['X']))
     axis.go(way)
     for period in range(len(way) + round(rest * 1e3)):
         plant.drive(axis.step(plant.measure()))
@@ -70,7 +70,7 @@ def test_no_alarm_where_the_target_changes_on_the_way(controller):
     for period in range(3000):
         if period % 150 == 0:
             target = float(rng.uniform(-0.05, 0.05))
-            axis.go(axis.way(target, profile_limits(config, float('nan'))))
+            axis.go(axis.way(target, profile_limits(config, float('nan'), config.driven['X'])))
         plant.drive(axis.step(plant.measure()))
     assert axis.fault == ''
 

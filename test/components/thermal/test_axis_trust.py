@@ -12,6 +12,7 @@ from stepped_shift import Shift
 from fuzzycnc_ros.components.thermal.axis_trust import CAUTIOUS
 from fuzzycnc_ros.components.thermal.compensator import Compensator, CompensatorConfig
 from fuzzycnc_ros.core.thermal.confirmation import is_right, is_wrong
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import (
     CompensationApplied,
     Displacement,
@@ -31,18 +32,19 @@ def bench_of(**changes):
     return bench
 
 
-def follow(bench, time, error, deviation=1.0, other=0.0):
+def follow(bench, time, error, deviation=1.0, other=0.0, mode=MachineMode.ON):
     """Give an error of Y [um] with its deviation; return the offset of Y [um] that is told."""
-    bench.push('machine_state', machine_state(time))
+    bench.push('machine_state', machine_state(time, state=int(mode)))
     values = {'standard_deviation': np.array([deviation, 1.0]) * MICRON}
     bench.give('thermal_error', thermal_error(time, np.array([error, other]) * MICRON, **values))
     return bench.records('compensation')[-1].offset[0] / MICRON
 
 
-def told(bench, evidence, time=0.0):
+def told(bench, evidence, time=0.0, frame='mill/machine'):
     """Tell what probes under an offset of Y and Z have said."""
     record = ProbeEvidence(
         stamp=nanoseconds(time),
+        frame_id=frame,
         axis=('Y', 'Z'),
         channel=('Y', 'Z'),
         evidence=np.array(evidence),
@@ -67,9 +69,9 @@ def test_a_part_is_followed_until_probes_confirm_it():
     assert 'OK first activation: followed in part until a probe confirms it: Y 50 %' in (
         bench.health()
     )
-    told(bench, [0.4, 0.0], 90.0)
+    told(bench, [0.9, 0.0], 90.0)
     assert follow(bench, 700.0, 20.0) == pytest.approx(-10.0)
-    told(bench, [1.0, 0.0], 750.0)
+    told(bench, [2.0, 0.0], 750.0)
     assert follow(bench, 1349.0, 20.0) == pytest.approx(-10.0)
     assert follow(bench, 1350.0, 20.0) == pytest.approx(-20.0)
     # What was confirmed belongs to the machine, not to this activation.
@@ -78,12 +80,58 @@ def test_a_part_is_followed_until_probes_confirm_it():
     assert follow(bench, 1440.0, 20.0) == pytest.approx(-20.0)
 
 
+def test_an_axis_waits_for_the_end_of_a_program():
+    bench = bench_of(band_share=0.5, program_wait=600.0)
+    running = {'mode': MachineMode.RUNNING}
+    assert follow(bench, 60.0, 10.0, **running) == 0.0
+    assert 'OK program: followed anew when the program has ended: Y 100 %' in bench.health()
+    assert follow(bench, 120.0, 10.0) == pytest.approx(-10.0)
+    # Followed, it follows within a program, and is let go after it.
+    assert follow(bench, 180.0, 12.0, **running) == pytest.approx(-12.0)
+    assert follow(bench, 240.0, 12.0, 7.0, **running) == pytest.approx(-12.0)
+    assert 'followed anew when the program has ended: Y 0 %' in bench.health()
+    assert follow(bench, 300.0, 12.0, 7.0) == 0.0
+    # A program without end is not waited for longer than that.
+    for time in (360.0, 480.0, 600.0, 720.0, 840.0, 959.0):
+        assert follow(bench, time, 10.0, **running) == 0.0
+    assert follow(bench, 960.0, 10.0, **running) == pytest.approx(-10.0)
+
+
+def test_wrong_probes_do_not_wait_for_the_end_of_a_program():
+    bench = bench_of(first_share=0.5, program_wait=6000.0)
+    assert follow(bench, 60.0, 20.0) == pytest.approx(-10.0)
+    told(bench, [-3.0, 0.0], 90.0)
+    assert follow(bench, 720.0, 20.0, mode=MachineMode.RUNNING) == 0.0
+
+
+def test_that_probes_of_another_machine_are_right_confirms_nothing():
+    bench = bench_of(first_share=0.5)
+    told(bench, [2.0, 0.0], 0.0, frame='lathe/machine')
+    assert follow(bench, 700.0, 20.0) == pytest.approx(-10.0)
+
+
+def test_wider_limits_have_to_be_allowed_anew():
+    bench = bench_of(first_share=0.5, hold_time=0.0, ramp_rate=1e-3)
+    narrow = CompensatorConfig(slew_max=1e-3, first_share=0.5, hold_time=0.0, ramp_rate=1e-3)
+    assert follow(bench, 60.0, 20.0) == pytest.approx(-10.0)
+    bench.component.reconfigure(replace(narrow, offset_max=40e-6))
+    assert follow(bench, 120.0, 20.0) == pytest.approx(-10.0)
+    bench.component.reconfigure(narrow)
+    follow(bench, 180.0, 20.0)
+    assert follow(bench, 240.0, 20.0) == 0.0
+    assert 'offset_max was set wider than what was allowed' in bench.health()
+    bench.request('deactivate')
+    bench.request('activate')
+    bench.give('compensation_applied', applied(250.0))
+    assert follow(bench, 300.0, 20.0) == pytest.approx(-10.0)
+
+
 def test_axes_are_tried_one_by_one():
     bench = bench_of(first_share=0.5, band_share=0.5)
     follow(bench, 60.0, 20.0, other=30.0)
     assert bench.records('compensation')[-1].offset.tolist() == [0.0, -15.0 * MICRON]
     assert 'Y after that' in bench.health()
-    told(bench, [0.0, 1.2], 90.0)
+    told(bench, [0.0, 2.0], 90.0)
     follow(bench, 720.0, 20.0, other=30.0)
     np.testing.assert_allclose(
         bench.records('compensation')[-1].offset, [-10.0 * MICRON, -30.0 * MICRON]

@@ -435,3 +435,48 @@ def test_a_probe_of_the_day_before_cannot_be_undone():
     answer = bench.request('forget', mode=ForgetMode.UNDO, why='x', by='anna')
     assert not answer.success
     assert 'none over a restart or a new thermal reference' in answer.message
+
+
+def test_it_tells_when_a_probe_is_due_and_what_the_last_one_changed():
+    run = recordings()['T3']
+    rows, probe = range(len(run.time)), probe_of(run, 60)
+    bench, _ = from_nothing(run, rows, [probe], learn_axes=run.axis, band_wanted=12 * MICRON)
+    told = bench.records('probe_status')
+    assert told[0].probed_at == 0
+    assert np.isnan(told[0].change).all()
+    after = [item for item in told if item.probed_at]
+    assert after[0].probed_at == probe.stamp
+    assert np.abs(after[0].change).max() > MICRON
+    for item in told:
+        assert item.due == bool((item.band > 12 * MICRON).any())
+        assert item.due == (item.due_at == item.stamp)
+        assert ('known' in item.reason or 'probed' in item.reason) == item.due
+    # What is foretold in the end comes true.
+    quiet = after[5:]  # the correction has come into force
+    due = next(item.stamp for item in quiet if item.due)
+    foretold = [item for item in quiet if item.due_at > item.stamp and item.stamp < due]
+    assert len(foretold) > 20
+    assert abs(foretold[-1].due_at - due) < nanoseconds(600.0)
+    assert abs(foretold[-20].due_at - due) < nanoseconds(3600.0)
+
+
+def test_without_learning_nothing_is_told_of_probes():
+    bench, _ = probed_run('T3', ())
+    assert not bench.records('probe_status')
+
+
+def test_another_place_of_an_axis_does_not_take_the_place_of_the_first():
+    run, row = recordings()['T3'], 60
+    one = probe_of(run, row)
+    both = replace(
+        one,
+        axis=(*one.axis, one.axis[0]),
+        channel=(*one.channel, f'{one.axis[0]} right'),
+        displacement=np.array([*one.displacement, 80 * MICRON]),
+        standard_deviation=np.full(len(one.axis) + 1, 0.3 * MICRON),
+        position=np.zeros(len(one.axis) + 1),
+    )
+    rows = range(len(run.time))
+    _, wanted = from_nothing(run, rows, [one])
+    _, found = from_nothing(run, rows, [both])
+    np.testing.assert_array_equal(errors_of(found[5:]), errors_of(wanted[5:]))

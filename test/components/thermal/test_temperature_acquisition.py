@@ -130,6 +130,27 @@ def test_reading_out_of_range_is_refused(value):
     assert sample.temperature[0] == pytest.approx(value, abs=0.1)
 
 
+@pytest.mark.parametrize(
+    ('value', 'text'),
+    [
+        (295.15, 'T1 out_of_range (reads 295.15 degC; that is 22.0 degC if in kelvin'),
+        (215.0, '21.5 degC if in tenths of a degree'),
+        (2150.0, '21.5 degC if in hundredths of a degree'),
+    ],
+)
+def test_a_wrong_unit_is_named(value, text):
+    bench = bench_of()
+    feed(bench, 5, lambda time: np.array([value, 30.0 + time / 1000]))
+    assert text in bench.health()
+
+
+def test_what_fits_no_unit_is_named_by_none():
+    bench = bench_of()
+    feed(bench, 5, lambda time: np.array([-100.0 + time / 1000, 30.0 + time / 1000]))
+    assert 'T1 out_of_range' in bench.health()
+    assert 'that is' not in bench.health()
+
+
 def test_open_input_of_50_kelvin_is_found_at_once_and_for_good():
     bench = bench_of()
     feed(bench, 10, [22.0, 23.0])

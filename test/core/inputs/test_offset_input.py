@@ -5,7 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.core.inputs.offset_input import OffsetInput, OffsetInputConfig, OffsetStatus
+from fuzzycnc_ros.core.inputs.offset_input import (
+    OffsetAnswer,
+    OffsetInput,
+    OffsetInputConfig,
+    OffsetStatus,
+)
 
 SECOND = 1_000_000_000
 CONFIG = OffsetInputConfig(offset_max=60e-6, slew_max=5e-6)
@@ -124,6 +129,39 @@ def test_slope_acts_on_the_distance_from_the_reference():
     np.testing.assert_allclose(advance(machine, 5.0), [1e-6, 0.0])  # nothing known: no slope
     np.testing.assert_allclose(advance(machine, 10.0, [0.3, np.nan]), [3e-6, 0.0])
     np.testing.assert_allclose(advance(machine, 15.0, [np.nan, 0.2]), [3e-6, 2e-6])
+
+
+def test_along_its_slope_an_offset_goes_with_the_axis_and_not_at_the_slew_limit():
+    machine = offset_input(slew_max=0.1e-6, validity_max=1000.0)
+    line = {'slope': [2e-4, 0.0], 'reference_position': [0.1, 0.0]}
+    send(machine, [10e-6, 0.0], valid=1000.0, **line)
+    advance(machine, 0.0, [0.1, 0.0])
+    assert advance(machine, 200.0)[0] == pytest.approx(10e-6)
+    assert advance(machine, 201.0, [0.3, 0.0])[0] == pytest.approx(50e-6)
+    # At the limit it waits for the axis to come back, and the rest of the line is kept.
+    assert advance(machine, 201.5, [0.5, 0.0])[0] == pytest.approx(60e-6)
+    assert advance(machine, 202.0, [0.4, 0.0])[0] == pytest.approx(60e-6)
+    assert advance(machine, 202.5, [0.2, 0.0])[0] == pytest.approx(30e-6)
+    # Another line at a place is a change at that place, however steep it is.
+    line['slope'] = [4e-4, 0.0]
+    send(machine, [10e-6, 0.0], stamp=202.5, valid=1000.0, **line)
+    assert advance(machine, 203.5)[0] == pytest.approx(30.1e-6)
+
+
+def test_a_position_that_leaps_moves_nothing_at_once():
+    machine = offset_input(slew_max=0.1e-6, speed_max=0.2)
+    send(machine, slope=[2e-4, 0.0], offset=[0.0, 0.0], valid=1000.0)
+    advance(machine, 1.0, [0.0, 0.0])
+    assert advance(machine, 2.0, [0.21, 0.0])[0] == pytest.approx(0.1e-6)
+    assert advance(machine, 3.0, [0.02, 0.0])[0] == pytest.approx(0.1e-6 - 38e-6 + 0.1e-6)
+
+
+def test_a_slope_that_is_too_steep_is_cut():
+    machine = offset_input(slope_max=1e-4)
+    answer = send(machine, [0.0, 0.0], slope=[3e-4, -3e-4], valid=1000.0)
+    assert answer == OffsetAnswer(True, 'slope of Y, Z cut at 100 um/m')
+    advance(machine, 1.0, [0.0, 0.0])
+    np.testing.assert_allclose(advance(machine, 2.0, [0.1, 0.2]), [10e-6, -20e-6])
 
 
 @pytest.mark.parametrize(
@@ -247,11 +285,40 @@ def play(machine, events):
 @settings(max_examples=150, deadline=None)
 def test_never_beyond_the_limit_never_faster_never_nan(events):
     machine = offset_input()
+    per_second = CONFIG.slew_max + CONFIG.slope_max * CONFIG.speed_max
     for step, before, after in play(machine, events):
         assert np.isfinite(after).all()
         assert np.all(np.abs(after) <= CONFIG.offset_max)
-        reach = CONFIG.slew_max * 1e-9 * step
+        reach = per_second * 1e-9 * step
         assert np.all(np.abs(after - before) <= reach * (1 + 1e-9) + 1e-18)
+
+
+@pytest.mark.slow
+def test_lines_move_no_place_beyond_the_limit_or_faster_than_slew_and_motion_allow():
+    random, machine = np.random.default_rng(11), offset_input(slope_max=4e-4, speed_max=0.5)
+    position, step, epoch = np.zeros(2), 10_000_000, 1
+    for number in range(1_000_000):
+        if number % 37 == 0:
+            epoch += int(random.random() < 0.1)
+            machine.command(
+                epoch,
+                ['Y', 'Z'],
+                random.normal(0.0, 50e-6, 2),
+                random.normal(0.0, 3e-4, 2),
+                random.uniform(-0.5, 0.5, 2),
+                stamp=machine.time,
+                valid_until=machine.time + int(random.integers(1, 3_000_000_000)),
+            )
+        moved = random.uniform(-0.5, 0.5, 2) * 1e-9 * step
+        if random.random() < 1e-3:
+            moved = random.uniform(-1.0, 1.0, 2)  # a leap
+        position = position + moved
+        before = machine.applied
+        after = machine.advance(machine.time + step, position)
+        honest = np.abs(moved) <= 0.5e-9 * step
+        reach = 5e-6 * 1e-9 * step + 4e-4 * np.where(honest, np.abs(moved), 0.0)
+        assert np.all(np.abs(after - before) <= reach * (1 + 1e-9) + 1e-15)
+        assert np.all(np.abs(after) <= 60e-6)
 
 
 @given(events=st.lists(event, max_size=30))

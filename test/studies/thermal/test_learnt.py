@@ -89,11 +89,11 @@ def test_probes_faster_than_samples_are_refused(runs):
 
 def test_figures_and_table(found):
     document = learnt.learnt_document(found)
-    channel = document['runs'][found[1].run]['Y']
-    assert channel['residual']['learnt']['rms_um'] == pytest.approx(
+    run = found[1].run
+    assert document['runs'][run]['learnt']['Y']['rms_um'] == pytest.approx(
         1e6 * found[1].rms['learnt'][0]
     )
-    assert 0.0 <= channel['band']['unprobed']['covered'] <= 1.0
+    assert 0.0 <= document['band'][run]['unprobed']['Y']['covered'] <= 1.0
     table = learnt.learnt_table(found)
     assert [row[0] for row in table.rows] == [item.run for item in found]
 
@@ -110,6 +110,16 @@ def test_lines_name_where_the_last_probe_does_better(found):
     assert any('1 of 6 probes doubted' in line for line in lines)
     assert any('on Y, Z the last probe, held, does better' in line for line in lines)
     assert not any('does better' in line for line in learnt.learnt_lines(found[1:]))
+
+
+def test_a_band_that_holds_too_little_is_named_first(found):
+    assert not learnt.narrow_bands([found[1]])
+    narrow = replace(found[1], deviation=found[1].deviation * [0.01, 1.0])
+    (line,) = learnt.narrow_bands([narrow])
+    assert line.warning
+    assert f'{narrow.run}: the band of what was learnt holds' in line.text
+    assert ' % of Y; it promises 95 %' in line.text
+    assert learnt.learnt_page([narrow], {}).sections[0].remarks[0] == line.text
 
 
 FALSE = {

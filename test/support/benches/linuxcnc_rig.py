@@ -43,6 +43,7 @@ class Controller:
         self.told = np.zeros(3)
         self.clear = False
         self.writer = ''
+        self.probe = None
         self.tick = 0
 
     def write(self, orders):
@@ -83,6 +84,7 @@ class Controller:
             counts=self.counts,
             scale=self.scale,
             tick=self.tick,
+            probe=self.probe,
         )
 
 

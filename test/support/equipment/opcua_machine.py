@@ -52,6 +52,7 @@ EXTRA = {
     'double': (TYPE.Double, 0.0),
     'array': (TYPE.Double, [1.0, 2.0]),
     'shown': (TYPE.Double, 0.0),
+    'probe_due': (TYPE.Boolean, False),
 }
 """Variables that the program knows nothing of; all but `shown` can be written."""
 NANO = 1e-3
@@ -144,7 +145,12 @@ class ControlServer:
 
     async def put(self, name: str, value: Any) -> None:
         """Write a variable as another client would."""
-        await self._nodes[name].write_value(ua.Variant(value, TYPES[name]))
+        kind = TYPES[name] if name in TYPES else EXTRA[name][0]
+        await self._nodes[name].write_value(ua.Variant(value, kind))
+
+    async def get(self, name: str) -> Any:
+        """Return what stands in a variable."""
+        return await self._nodes[name].read_value()
 
     async def _run(self) -> None:
         loop = asyncio.get_running_loop()

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from fuzzycnc_ros.adapters.readings.link import Reading
 from fuzzycnc_ros.adapters.readings.polling import Polled, Poller
 
 TIMEOUT = 60.0
@@ -35,3 +36,8 @@ def good(polled: Polled) -> bool:
 
 def lost(polled: Polled) -> bool:
     return polled.readings is None
+
+
+def is_text(reading: Reading, *parts: str) -> bool:
+    """Whether a reading is none, and says why with all of these words."""
+    return isinstance(reading, str) and all(part in reading for part in parts)

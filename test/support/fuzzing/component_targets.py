@@ -12,6 +12,7 @@ from fuzzing.machine_targets import (
 )
 from fuzzing.motion_targets import JointTarget, SchedulerTarget, ServoTarget
 from fuzzing.pattern_targets import DeformationTarget, LearntTarget
+from fuzzing.probing_targets import ProbeCycleTarget
 from fuzzing.targets import Target
 from fuzzing.thermal_targets import (
     AcquisitionTarget,
@@ -25,6 +26,7 @@ TARGETS: dict[str, Target] = {
     'compensator': CompensatorTarget(),
     'temperature_acquisition': AcquisitionTarget(),
     'sensor_selector': SelectorTarget(),
+    'probe_cycle': ProbeCycleTarget(),
     'thermal_predictor': PredictorTarget(),
     'thermal_predictor that probes': ProbingTarget(),
     'feedrate_scheduler': SchedulerTarget(),

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from benches import trajectory_bench
 from benches.component_bench import Bench, applied, machine_state
+from benches.probe_rig import zeroed
 from fuzzing.targets import CopiedTarget, Target
 
 from fuzzycnc_ros.components.machine.simulated_body import SimulatedBody, SimulatedBodyConfig
@@ -250,7 +251,7 @@ class BridgeTarget(CopiedTarget):
         The rig of the bridge.
     """
 
-    inputs = ('compensation',)
+    inputs = ('compensation', 'probe_cycle_state')
     makes_time = True
 
     def __init__(self, component: str, rig: Any) -> None:
@@ -267,6 +268,8 @@ class BridgeTarget(CopiedTarget):
         return bench
 
     def good(self, name, stamp, rng):
+        if name == 'probe_cycle_state':
+            return replace(zeroed().state, stamp=stamp, due=rng.random() < 0.5)
         size = len(self.rig.AXES)
         return Compensation(
             stamp=stamp,

@@ -14,11 +14,17 @@ import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.candidate import STANDARD
+from fuzzycnc_ros.core.thermal.fingerprint import Fingerprint
 from fuzzycnc_ros.core.thermal.fit.candidates import CONTENDERS, Contender
 from fuzzycnc_ros.core.thermal.fit.evaluation import Evaluation, evaluate, pooled_rms
 from fuzzycnc_ros.core.thermal.fit.folds import thermal_cycles
 from fuzzycnc_ros.core.thermal.fit.refinement import Progress
-from fuzzycnc_ros.core.thermal.fit.training import at_interval, train_model, training_interval
+from fuzzycnc_ros.core.thermal.fit.training import (
+    at_interval,
+    check_copies,
+    train_model,
+    training_interval,
+)
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun, hidden
 
 CHAIN = (0.5, 0.7, 1.0)
@@ -135,7 +141,7 @@ def splits(
     Raises
     ------
     ThermalDataError
-        If there is no run, or windows are given for several.
+        If there is no run, one is there twice, or windows are given for several.
     """
     if not runs:
         raise ThermalDataError('runs: expected at least one run, but found none')
@@ -145,6 +151,7 @@ def splits(
             'out one by one'
         )
     if len(runs) > 1:
+        check_copies([Fingerprint.of(run) for run in runs])
         return tuple(
             Split(run.name, tuple(other for other in runs if other is not run), run)
             for run in runs

@@ -3,7 +3,6 @@
 """Train a thermal model: sensors, candidates, choice on held-out runs, domain."""
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import combinations
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from fuzzycnc_ros.core.thermal.candidate import (
 )
 from fuzzycnc_ros.core.thermal.cold_start import ColdStart
 from fuzzycnc_ros.core.thermal.domain import trained_domain
-from fuzzycnc_ros.core.thermal.fingerprint import Fingerprint
+from fuzzycnc_ros.core.thermal.fingerprint import Fingerprint, copies
 from fuzzycnc_ros.core.thermal.fit.candidates import (
     CONTENDERS,
     Contender,
@@ -67,9 +66,6 @@ PAIR = 2
 """Number of runs of which each fold sees one: its sensors say little of those of both.
 
 Candidates are then judged with the sensors of all runs, and only the band without."""
-
-COPY_SHARE = 0.5
-"""Share of common samples from which two runs are taken for one recording [-]."""
 
 
 @single_threaded
@@ -135,7 +131,7 @@ def train_model(
     even = [at_interval(run, interval) for run in runs]
     check_training_runs(even)
     fingerprints = tuple(Fingerprint.of(run) for run in runs)
-    _check_copies(fingerprints)
+    check_copies(fingerprints)
     selection = _selected(even, sensors, n_clusters, random_state, progress)
     drivers = drivers_of(even) if spindle_speed else ()
     data = TrainingSet.of(even, selection.chosen, drivers)
@@ -308,14 +304,16 @@ def _nested(
     return data.nested(runs, inputs)
 
 
-def _check_copies(fingerprints: Sequence[Fingerprint]) -> None:
-    """Refuse a recording that is there twice: what is held out would be trained on."""
-    for first, second in combinations(fingerprints, 2):
-        if (share := first.shared(second)) > COPY_SHARE:
-            raise ThermalDataError(
-                f'run {second.run!r}: expected another recording than {first.run!r}, but '
-                f'found {100.0 * share:.0f} % of its samples in it; leave one of them out'
-            )
+def check_copies(fingerprints: Sequence[Fingerprint]) -> None:
+    """Refuse a recording that is there twice.
+
+    Raises
+    ------
+    ThermalDataError
+        It names both runs.
+    """
+    for text in copies(fingerprints).values():
+        raise ThermalDataError(text)
 
 
 def _sound(

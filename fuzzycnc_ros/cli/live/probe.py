@@ -1,0 +1,72 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc probe`: the program by which a control probes its own thermal error."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fuzzycnc_ros.cli.completion import one_of
+from fuzzycnc_ros.cli.console import check_folder, say, write_text
+
+HELP = """Write the program by which a control probes its own thermal error.
+
+    fuzzycnc probe write probe.yaml --control linuxcnc --out programs
+"""
+
+CONTROLS = ('linuxcnc', 'fanuc', 'siemens')
+"""Controls that programs are written for."""
+
+
+def write(
+    file: Annotated[
+        Path, typer.Argument(metavar='FILE', help='What is probed, and in which box; a YAML file.')
+    ],
+    out: Annotated[Path, typer.Option(help='Folder for the program; made if it is missing.')],
+    control: Annotated[
+        str,
+        typer.Option(
+            metavar='|'.join(CONTROLS),
+            help='Control that runs it.',
+            autocompletion=one_of(CONTROLS),
+        ),
+    ] = 'linuxcnc',
+    output: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            max=62,
+            help='First of the two analogue outputs (M68 E) that pass results on, on LinuxCNC.',
+        ),
+    ] = 0,
+) -> None:
+    """Write the program of a probing cycle.
+
+    It works in machine coordinates, stays in the box of the file, backs off from a miss, and sets
+    no work offset, no tool length and no tool table. What is tested of the programs for Fanuc and
+    Siemens is their syntax alone: run them first without a workpiece, with a hand on the feed
+    override.
+
+        fuzzycnc probe write probe.yaml --out programs
+        fuzzycnc probe write probe.yaml --control siemens --out programs
+    """
+    from fuzzycnc_ros.adapters.probing.probe_file import read_plan
+    from fuzzycnc_ros.adapters.probing.programs import write_programs
+
+    if control not in CONTROLS:
+        raise ValueError(f'--control: expected one of {", ".join(CONTROLS)} but found {control!r}')
+    plan = read_plan(file)
+    if out.exists() and not out.is_dir():
+        raise ValueError(f'--out: expected a folder but found the file {out}')
+    check_folder(out / 'program' if out.exists() else out)
+    texts = write_programs(plan, control, output, output + 1)
+    out.mkdir(exist_ok=True)
+    for name, text in texts.items():
+        write_text(out / name, text)
+    places = ', '.join(f'{place.axis} at {1e3 * place.position:g} mm' for place in plan.places)
+    say(f'{out}: {" and ".join(texts)}, {plan.count} touches; {places}')
+
+
+COMMANDS: dict[str, Callable[..., Any]] = {'write': write}

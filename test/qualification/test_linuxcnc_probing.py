@@ -1,0 +1,276 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""A real LinuxCNC that probes: faults of the probe, and a day on which nobody lends a hand."""
+
+import json
+import shutil
+import tempfile
+import time
+from math import pi
+from pathlib import Path
+
+import numpy as np
+import pytest
+from equipment.linuxcnc_machine import exclusive
+from equipment.linuxcnc_probe import FILE, NEVER, LinuxcncWithProbe
+
+from fuzzycnc_ros.adapters.probing.probe_file import read_plan
+from fuzzycnc_ros.adapters.probing.programs import write_programs
+from fuzzycnc_ros.cli.demo.linuxcnc import COUNT, SLEW
+from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
+from fuzzycnc_ros.cli.live.operator_client import Operator
+from fuzzycnc_ros.ros.bring_up import LEARNING, NodeSpec
+from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
+from fuzzycnc_ros.runtime.component import LATCHED
+from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.records import (
+    CompensationApplied,
+    Displacement,
+    MachineState,
+    ProbeCycleState,
+    Temperatures,
+    ThermalReference,
+)
+from fuzzycnc_ros.simulation.thermal.duties import DUTIES
+
+pytestmark = [pytest.mark.ros, pytest.mark.qualify]
+
+MICRON = 1e-6
+RATE = 60.0
+"""Machine time over that of LinuxCNC, whose cycle lasts four of its seconds."""
+LAP = 300.0
+"""Machine time between two looks whether a cycle is due [s]."""
+TIMEOUT = 90.0
+
+
+@pytest.fixture
+def machine(tmp_path):
+    """A LinuxCNC with a probe, switched on and homed, and the file of its cycle."""
+    file = tmp_path / 'probe.yaml'
+    file.write_text(FILE)
+    with exclusive():
+        folder = Path(tempfile.mkdtemp(prefix='fuzzycnc-linuxcnc-'))
+        programs = write_programs(read_plan(file), 'linuxcnc')
+        rate = 2.0 * RATE * SLEW / COUNT
+        controller = LinuxcncWithProbe(folder, programs, COUNTS_PER_SECOND=rate)
+        try:
+            controller.start()
+            controller.ready()
+            yield controller, file
+        finally:
+            controller.end()
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def call(controller):
+    """Run the cycle as a program does; return what it returned and where the machine is then."""
+    lines = ['G21 G90', 'G53 G0 Z0', 'G53 G0 X20 Y-20', 'o<fuzzycnc_probe> call']
+    lines += ['M68 E3 Q[#<_value>]', 'M2', '']
+    controller.run(controller.write_program('one', '\n'.join(lines)))
+    until = time.monotonic() + TIMEOUT
+    while controller.state()['running']:
+        assert time.monotonic() < until, controller.log
+    return float(controller.halcmd('getp', 'motion.analog-out-03')), controller.state()['position']
+
+
+def test_a_faulty_probe_teaches_nothing_false_and_ends_the_cycle_above(machine, graph, observer):
+    controller, file = machine
+    references = observer.node.create_publisher(
+        message_class(ThermalReference.TYPE), 'thermal_reference', publisher_qos(LATCHED)
+    )
+    probes = observer.records('displacement', Displacement)
+    states = observer.records('probe_cycle_state', ProbeCycleState, LATCHED)
+    graph.start('linuxcnc_bridge', {'axes': ['Y', 'Z']})
+    parameters = {'interval_min': 0.0, 'failures_max': 9}
+    graph.start('probe_cycle', {'probe_file': str(file), **parameters})
+    observer.until(lambda: states, 'the plan')
+    now = time.time_ns()
+    reference = ThermalReference(
+        stamp=now,
+        cold_since=now,
+        set_by='test',
+        sensor=('T1',),
+        temperature=np.array([20.0]),
+        samples=3,
+    )
+    references.publish(encode(reference, RCLPY))
+    observer.until(lambda: states[-1].due, 'due after the reference')
+    due = 'motion.digital-in-00'
+    observer.until(lambda: controller.halcmd('getp', due) == 'TRUE', 'shown in the control')
+
+    def cycle(text='', **errors):
+        """Run a cycle, wait for what is told of it; return the newest displacement [um]."""
+        controller.error(**errors)
+        before = states[-1].stamp
+        value, place = call(controller)
+        observer.until(lambda: states[-1].stamp > before and states[-1].outcome == text, text)
+        assert place[2] == pytest.approx(-64.0, abs=0.1), 'above at the end'
+        return value, probes[-1].displacement / MICRON if probes else None
+
+    value, found = cycle()
+    assert value == 0.0
+    np.testing.assert_allclose(found, 0.0, atol=1e-9)
+    assert controller.halcmd('getp', due) == 'FALSE'
+    _, found = cycle(Y=12.0, Z=-31.0)
+    np.testing.assert_allclose(found, [12.0, -31.0], atol=1.0)
+
+    # broken stylus, missed sphere: it touches nothing
+    controller.reach(NEVER)
+    missed = (
+        'ball, Y: no touch where one was expected, or one on the way; look at the probe and at '
+        'what it should touch'
+    )
+    value, _ = cycle(missed, Y=50.0, Z=50.0)
+    assert value == 1.0
+    # something is in the way down
+    controller.reach(18.0)
+    value, _ = cycle(missed, Y=60.0)
+    assert value == 1.0
+    assert len(probes) == 2
+    # a probe that trips a millimetre early, and one that trips early by 0.1 mm on all sides
+    controller.reach(14.0)
+    controller.halcmd('sets', 'reach', '13.6')
+    value, _ = call(controller)
+    observer.until(lambda: 'touched at' in states[-1].outcome, 'touched too early')
+    controller.reach(13.1)
+    value, _ = call(controller)
+    observer.until(lambda: 'further apart' in states[-1].outcome, 'larger than before')
+    for probe in probes[2:]:
+        assert np.isnan(probe.displacement[0])
+        assert not probe.displacement[1] / MICRON > 60.0
+    # repaired
+    controller.reach()
+    _, found = cycle(Y=-5.0, Z=8.0)
+    np.testing.assert_allclose(found, [-5.0, 8.0], atol=1.0)
+    assert states[-1].failures == 0
+
+
+def day_program(duration):
+    """Return a program that works through duties, and probes when that is due."""
+    circle = 40.0 * pi
+    lines = ['G21 G90 G94 G17 G64 P0.01', 'G53 G0 Z0', 'G53 G0 X20 Y-20']
+    lines.append(f'F{circle / (LAP / RATE / 60.0):.3f}')
+    # The zero, before the spindle warms anything: the cycle is due right after the reference.
+    lines += ['M66 P0 L3 Q20', 'o<fuzzycnc_probe> call', 'G53 G0 Z0', 'G53 G0 X20 Y-20']
+    blocks = [block for name in ('T1', 'T2', 'D0', 'D0b') for block in DUTIES[name].blocks]
+    passed, number = 0.0, 100
+    while passed < duration:
+        for block in blocks:
+            laps = max(round(block.duration / LAP), 1)
+            passed += laps * LAP
+            speed = round(block.spindle_speed * 60.0 / (2.0 * pi))
+            spindle = f'S{speed} M3' if speed else 'M5'
+            number += 2
+            lines += [
+                f'o{number} repeat [{laps}]',
+                'M66 P0 L0',
+                f'o{number + 1} if [#5399 EQ 1]',
+                '  M5',
+                '  o<fuzzycnc_probe> call',
+                '  G53 G0 Z0',
+                '  G53 G0 X20 Y-20',
+                f'o{number + 1} endif',
+                spindle,
+                'G91 G2 X0 Y0 I20 J0',
+                'G90',
+                f'o{number} endrepeat',
+            ]
+            if passed >= duration:
+                break
+    return '\n'.join([*lines, 'M5', 'M2', ''])
+
+
+def live_day(machine, folder, duration):
+    """Let the program run; return what was left, the bare error, and what was told of cycles.
+
+    Rows of what was left and of the error are (time [s], Y, Z [um]).
+    """
+    controller, file = machine
+    common = {'use_sim_time': True}
+    active = {**common, 'autostart': True}
+    bridge = {'axes': ['Y', 'Z'], 'slew_max': SLEW, 'lead_max': 60.0, 'report_period': 10.0}
+    predictor = {**common, **LEARNING.get('thermal_predictor', {}), 'learn_axes': ['Y', 'Z']}
+    compensator = {**active, **LEARNING.get('compensator', {}), 'axes': ['Y', 'Z']}
+    specs = [
+        NodeSpec('linuxcnc_bridge', {**active, **bridge}),
+        NodeSpec('temperature_acquisition', common),
+        NodeSpec('probe_cycle', {**common, 'probe_file': str(file)}),
+        NodeSpec('thermal_predictor', predictor),
+        NodeSpec('compensator', compensator),
+        NodeSpec('recorder', {**common, 'output': str(folder / 'bag')}),
+    ]
+    body = NodeSpec(
+        'simulated_body',
+        {
+            'duty': 'T1',
+            'duration': duration,
+            'rate': RATE,
+            'seed': 3,
+            'tick_period': 3.0,
+            'displacement_interval': 30.0,
+            'displacement_noise': 1e-9,
+            'nodes': [spec.name for spec in specs],
+        },
+    )
+    truth, applied, states, probes = [], [], [], []
+    program = controller.write_program('day', day_program(duration))
+    with (
+        GraphProcesses('mill', folder=folder / 'log') as graph,
+        # What the body measures is the truth; what is known of it comes from the probe.
+        GraphProcesses('mill', folder=folder / 'body', remap=['displacement:=truth']) as bodies,
+    ):
+        for spec in specs:
+            graph.start(spec)
+        with Operator('mill', graph.check) as operator:
+            listen = operator.node.create_subscription
+            for kind, topic, found in (
+                (Displacement, 'truth', truth),
+                (CompensationApplied, 'compensation_applied', applied),
+                (ProbeCycleState, 'probe_cycle_state', states),
+                (Displacement, 'displacement', probes),
+            ):
+                from fuzzycnc_ros.runtime.convert import decode
+
+                def take(message, kind=kind, found=found):
+                    found.append(decode(kind, message))
+
+                listen(message_class(kind.TYPE), f'/mill/{topic}', take, 100)
+            bodies.start(body)
+            until = time.monotonic() + TIMEOUT
+            while not operator.newest(MachineState, 'machine_state').offsets_allowed:
+                assert time.monotonic() < until
+            operator.newest(Temperatures, 'sensor_readings')
+            operator.set_reference('operator')
+            controller.run(program)
+            seen = 0
+            while not bodies.poll():
+                operator.spin_once(0.05)
+                graph.check()
+                if len(truth) > seen and applied:
+                    seen = len(truth)
+                    offset = dict(zip(applied[-1].axis, applied[-1].offset, strict=True))
+                    newest = zip(truth[-1].axis, truth[-1].displacement, strict=True)
+                    error = {axis: (v - offset.get(axis, 0.0)) / MICRON for axis, v in newest}
+                    controller.error(**error)
+    begun = truth[0].stamp
+    left = np.array([(1e-9 * (t.stamp - begun), *t.displacement / MICRON) for t in truth])
+    return left, states, probes
+
+
+@pytest.mark.realtime
+def test_a_day_from_a_cold_start_without_a_hand_on_it(machine, tmp_path):
+    left, states, probes = live_day(machine, tmp_path, 4.0 * 3600.0)
+    told = {
+        'cycles': len(probes),
+        'failures': max(state.failures for state in states),
+        'left by hour, rms [um]': [
+            np.sqrt(np.mean(left[(left[:, 0] // 3600) == hour, 1:] ** 2.0, axis=0))
+            .round(2)
+            .tolist()
+            for hour in range(4)
+        ],
+    }
+    print(json.dumps(told))
+    assert told['failures'] == 0
+    assert 3 <= len(probes) <= 20
+    assert max(told['left by hour, rms [um]'][-1]) < 5.0
