@@ -9,11 +9,13 @@ Schemas come from the same models.
 
 import difflib
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
+from urllib.parse import SplitResult, urlsplit
 
 from fuzzycnc_ros.bags.yaml_file import YamlReading, number_of, value_errors
 from fuzzycnc_ros.ros.parameters import ParameterError
@@ -80,12 +82,22 @@ class Fields(BaseModel):
         return data
 
 
-class _Scalar:
+def address_of(text: str, schemes: Sequence[str]) -> SplitResult | None:
+    """Return the parts of an address that has one of the schemes, a host and a port; else None."""
+    try:
+        parts = urlsplit(text)
+        complete = bool(parts.hostname) and parts.port is not None
+    except ValueError:
+        return None
+    return parts if complete and parts.scheme in schemes else None
+
+
+class _Scalar(ABC):
     """How a field is read from its node."""
 
+    @abstractmethod
     def read(self, node: Any) -> Any:
         """Return the value."""
-        raise NotImplementedError
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         return core_schema.no_info_before_validator_function(self.read, handler(source))

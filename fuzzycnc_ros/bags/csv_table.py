@@ -591,10 +591,11 @@ def _read_text(path: Path, encoding: str) -> str:
             )
         place = data.find(b'\0')
         if place >= 0:
-            line = data.count(b'\n', 0, place) + 1
+            line, number = data.count(b'\n', 0, place) + 1, data.count(0)
+            found = 'a zero byte' if number == 1 else f'{number} zero bytes, the first one'
             raise CsvError(
-                f'{path}, line {line}: expected text but found {data.count(0)} zero bytes, the '
-                f'first one as byte {place}, as a torn write leaves them; delete what is damaged'
+                f'{path}, line {line}: expected text but found {found} as byte {place}, as a torn '
+                'write leaves them; delete what is damaged'
             )
     if not codec.startswith('utf') and not data.isascii() and _is_utf8(data):
         raise CsvError(

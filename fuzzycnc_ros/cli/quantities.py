@@ -59,6 +59,7 @@ def quantity(
 
     Examples
     --------
+    >>> from fuzzycnc_ros.core.units import FEEDS, LENGTHS
     >>> f"{quantity('--tolerance', '10um', LENGTHS, example='0.01mm'):g} m"
     '1e-05 m'
     >>> f"{quantity('--feed', '6000 mm/min', FEEDS, example='12000mm/min'):g} m/s"

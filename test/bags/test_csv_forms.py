@@ -124,7 +124,8 @@ def test_zero_bytes_of_a_torn_write_are_placed(complaint, count):
     place = text.index(b'\n', 400) + 3
     line = text.count(b'\n', 0, place) + 1
     found = complaint(text[:place] + bytes(count) + text[place:])
-    assert f'line {line}: expected text but found {count} zero bytes' in found
+    number = 'a zero byte as' if count == 1 else f'{count} zero bytes, the first one as'
+    assert f'line {line}: expected text but found {number} byte {place}' in found
     assert f'as byte {place}, as a torn write leaves them; delete what is damaged' in found
     assert complaint(text + bytes(count)).endswith('delete what is damaged')
 

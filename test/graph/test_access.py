@@ -157,6 +157,8 @@ def test_a_policy_is_what_the_node_creates(created, tmp_path, name):
         path = tmp_path / 'devices.yaml'
         path.write_text(DEVICES)
         variants += [{'source': 'devices', 'device_file': path}]
+    if name == 'probe_cycle':
+        variants += [{'result_file': tmp_path / 'results.txt'}]
     if name == 'simulated_machine':
         nodes = ','.join(other for other in COMPONENTS if other not in PRETENDERS)
         variants[1] |= {'lockstep_nodes': f'[{nodes}]', 'lockstep_recorder': 'true'}

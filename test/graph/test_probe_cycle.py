@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benches.probe_rig import reference_at
 
 from fuzzycnc_ros.adapters.probing.probe_file import read_plan
 from fuzzycnc_ros.adapters.probing.programs import BEGIN, END
@@ -40,16 +41,7 @@ def test_results_in_a_file_become_a_displacement(graph, observer, tmp_path):
     publisher = observer.node.create_publisher(
         message_class(ThermalReference.TYPE), 'thermal_reference', publisher_qos(LATCHED)
     )
-    now = time.time_ns()
-    reference = ThermalReference(
-        stamp=now,
-        cold_since=now,
-        set_by='test',
-        sensor=('T1',),
-        temperature=np.array([20.0]),
-        samples=3,
-    )
-    publisher.publish(encode(reference, RCLPY))
+    publisher.publish(encode(reference_at(time.time_ns()), RCLPY))
     observer.until(lambda: states[-1].due, 'the zero is due')
 
     def write(moved):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benches.probe_rig import reference_at
 from equipment.linuxcnc_machine import exclusive
 from equipment.linuxcnc_probe import FILE, NEVER, LinuxcncWithProbe
 
@@ -84,16 +85,7 @@ def test_a_faulty_probe_teaches_nothing_false_and_ends_the_cycle_above(machine, 
     parameters = {'interval_min': 0.0, 'failures_max': 9}
     graph.start('probe_cycle', {'probe_file': str(file), **parameters})
     observer.until(lambda: states, 'the plan')
-    now = time.time_ns()
-    reference = ThermalReference(
-        stamp=now,
-        cold_since=now,
-        set_by='test',
-        sensor=('T1',),
-        temperature=np.array([20.0]),
-        samples=3,
-    )
-    references.publish(encode(reference, RCLPY))
+    references.publish(encode(reference_at(time.time_ns()), RCLPY))
     observer.until(lambda: states[-1].due, 'due after the reference')
     due = 'motion.digital-in-00'
     observer.until(lambda: controller.halcmd('getp', due) == 'TRUE', 'shown in the control')

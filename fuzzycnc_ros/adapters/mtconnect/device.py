@@ -26,6 +26,7 @@ from fuzzycnc_ros.adapters.yaml_model import (
     Shorthand,
     Text,
     Word,
+    address_of,
     model_validator,
     wrong,
 )
@@ -118,12 +119,8 @@ class _SpeedItem(SpeedFields, _Item):
 
 
 def _agent(text: str) -> str:
-    try:
-        parts = urlsplit(text)
-        port = parts.port
-    except ValueError:
-        parts, port = urlsplit(''), None
-    if parts.scheme not in ('http', 'https') or not parts.hostname or port is None:
+    parts = address_of(text, ('http', 'https'))
+    if parts is None:
         raise wrong(
             'expected http://HOST:PORT/MACHINE or https://HOST:PORT/MACHINE, usual port 5000, but '
             f'found {text!r}'

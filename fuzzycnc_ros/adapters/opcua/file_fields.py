@@ -19,6 +19,7 @@ from fuzzycnc_ros.adapters.yaml_model import (
     Text,
     ValidationInfo,
     Word,
+    address_of,
     model_validator,
     read_file,
     wrong,
@@ -63,12 +64,8 @@ def _node(text: str) -> str:
 
 
 def _url(text: str) -> str:
-    try:
-        parts = urlsplit(text)
-        port = parts.port
-    except ValueError:
-        parts, port = urlsplit(''), None
-    if parts.scheme != 'opc.tcp' or not parts.hostname or port is None:
+    parts = address_of(text, ('opc.tcp',))
+    if parts is None:
         raise wrong(f'expected opc.tcp://HOST:PORT/PATH, usual port 4840, but found {text!r}')
     if '@' in parts.netloc:
         raise wrong('expected no user and password here; put them into the file credentials')

@@ -7,6 +7,7 @@ import http.client
 import json
 import re
 import ssl
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -26,6 +27,7 @@ from fuzzycnc_ros.adapters.yaml_model import (
     Shorthand,
     Text,
     Word,
+    address_of,
     model_validator,
     wrong,
 )
@@ -105,13 +107,8 @@ class Moonraker(Device):
 
 
 def _url(text: str) -> str:
-    try:
-        parts = urlsplit(text)
-        port = parts.port
-    except ValueError:
-        parts, port = urlsplit(''), None
-    good = parts.scheme in ('http', 'https', 'ws', 'wss') and parts.hostname and port is not None
-    if not good or parts.path.strip('/') or parts.query or parts.fragment:
+    parts = address_of(text, ('http', 'https', 'ws', 'wss'))
+    if parts is None or parts.path.strip('/') or parts.query or parts.fragment:
         raise wrong(f'expected http://HOST:PORT or ws://HOST:PORT, port 7125, but found {text!r}')
     if '@' in parts.netloc:
         raise wrong('expected no user and password here; put the key into the file api_key')
@@ -207,9 +204,9 @@ class _MoonrakerLink(Link):
             ] * len(self._device.channels)
         return [_reading(channel, found) for channel in self._device.channels]
 
+    @abstractmethod
     async def _ask(self) -> Any:
         """Return the result of a query for all objects."""
-        raise NotImplementedError
 
 
 def _reading(channel: Heater, found: Mapping[str, Any]) -> Reading:

@@ -14,6 +14,8 @@ from fuzzycnc_ros.cli.console import check_folder, say, write_text
 HELP = """Write the program by which a control probes its own thermal error.
 
     fuzzycnc probe write probe.yaml --control linuxcnc --out programs
+
+docs/how-to/your-probe.md says how the control calls it, and when.
 """
 
 CONTROLS = ('linuxcnc', 'fanuc', 'siemens')

@@ -273,7 +273,7 @@ def speed_missing(runs: 'Sequence[ThermalRun]', interval: float) -> str:
     even = [at_interval(run, interval) for run in runs]
     lacking = [run.name for run in even if run.spindle_speed is None]
     if lacking:
-        return f'since {", ".join(lacking)} carries none'
+        return f'since it is not recorded in {", ".join(lacking)}'
     return '' if drivers_of(even) else 'since it has gaps or never changes'
 
 

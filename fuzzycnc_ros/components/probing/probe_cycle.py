@@ -8,6 +8,7 @@ when a cycle is due; it is the program that calls it.
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -211,14 +212,14 @@ class ProbeCycle(Component[ProbeCycleConfig]):
             return  # the rest of a cycle that is not used
         if touch.kind == TouchKind.TOUCH:
             if touch.number == len(self._touches) + 1 <= plan.count:
-                row = self._rows(plan)[len(self._touches)]
-                offset = 0.0 if touch.includes_offset else self._offsets(plan)[row]
+                axis = plan.place_of(touch.number).axis
+                offset = 0.0 if touch.includes_offset else self._offset(axis)
                 self._touches.append(touch.position + offset)
                 self._touched = touch.stamp
                 return
             self._fail(touch.stamp, f'touch {len(self._touches) + 1} was not heard')
         elif touch.kind == TouchKind.MISS:
-            self._fail(touch.stamp, self._missed(touch.number))
+            self._fail(touch.stamp, self._missed(plan, touch.number))
         elif len(self._touches) < plan.count:
             self._fail(touch.stamp, f'ended after {len(self._touches)} of {plan.count} touches')
         else:
@@ -277,7 +278,7 @@ class ProbeCycle(Component[ProbeCycleConfig]):
         self._touches, self._ended = None, stamp
         self._outcome, self._accepted = '; '.join(found.doubts), True
         self._failures, self._news = 0, True
-        offset = self._offsets(plan)
+        offset = np.array([self._offset(axis) for axis in plan.axes])
         yield Emission(
             'displacement',
             Displacement(
@@ -292,34 +293,24 @@ class ProbeCycle(Component[ProbeCycleConfig]):
             ),
         )
 
-    @staticmethod
-    def _rows(plan: ProbePlan) -> list[int]:
-        """Return the place of each touch."""
-        return [
-            row
-            for row, place in enumerate(plan.places)
-            for _ in range(plan.repeats * len(place.touches))
-        ]
-
-    def _offsets(self, plan: ProbePlan) -> Floats:
-        """Return the offset in force along each place [m], as it was read back last."""
+    def _offset(self, axis: str) -> float:
+        """Return the offset in force along an axis [m], as it was read back last."""
         applied = self.last(self.APPLIED)
-        known: dict[str, float] = {}
-        if applied is not None:
-            known = dict(zip(applied.axis, applied.offset.tolist(), strict=True))
-        found = np.array([known.get(axis, 0.0) for axis in plan.axes])
-        return np.where(np.isfinite(found), found, 0.0)
+        if applied is None or axis not in applied.axis:
+            return 0.0
+        offset = float(applied.offset[applied.axis.index(axis)])
+        return offset if isfinite(offset) else 0.0
 
-    def _missed(self, number: int) -> str:
+    @staticmethod
+    def _missed(plan: ProbePlan, number: int) -> str:
         """Say where the probe missed."""
-        assert self._plan is not None
-        for before, place, _ in self._plan.touches:
-            if before < number <= before + self._plan.repeats:
-                return (
-                    f'{place.name}, {place.axis}: no touch where one was expected, or one on the '
-                    'way; look at the probe and at what it should touch'
-                )
-        return 'no touch where one was expected'
+        if not 1 <= number <= plan.count:
+            return 'no touch where one was expected'
+        place = plan.place_of(number)
+        return (
+            f'{place.name}, {place.axis}: no touch where one was expected, or one on the way; '
+            'look at the probe and at what it should touch'
+        )
 
     def _too_late(self, reference: ThermalReference) -> str:
         return (

@@ -384,7 +384,7 @@ class OffsetInput:
         reach = self._config.speed_max * 1e-9 * (time - self._travelled_to)
         self._position, self._travelled_to = position, time
         command = self._before or self._newest
-        if command is None or not self._in_force:
+        if command is None or not self._in_force or not command.slope.any():
             return
         most = self._config.offset_max
         change = np.clip(command.target(position), -most, most)

@@ -150,6 +150,11 @@ class ProbePlan:
         """Number of touches that count in a cycle."""
         return self.repeats * len(self.touches)
 
+    def place_of(self, number: int) -> Place:
+        """Return the place of a touch that counts, by its number from 1 to `count`."""
+        _, place, _ = self.touches[(number - 1) // self.repeats]
+        return place
+
     @property
     def axes(self) -> tuple[str, ...]:
         """Axis of each place."""

@@ -16,7 +16,6 @@ from equipment.certificates import LOCAL, certificate
 from equipment.mqtt_broker import (
     MOSQUITTO,
     PASSWORD,
-    MqttBroker,
     credentials,
     wait,
 )
@@ -34,21 +33,6 @@ needs_broker = pytest.mark.skipif(
 BACK_MAX = 5.0
 """Longest pause and wait between the return of a broker and the connection to it [s]."""
 STATE, STATUS = 'fuzzycnc/mill/state', 'fuzzycnc/mill/status'
-
-
-@pytest.fixture
-def serve(tmp_path):
-    """Start a broker."""
-    made = []
-
-    def of(**security):
-        made.append(MqttBroker(tmp_path, **security))
-        made[-1].start()
-        return made[-1]
-
-    yield of
-    for broker in made:
-        broker.close()
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ pytest.importorskip('rclpy')
 pytest.importorskip('paho')
 
 from equipment.certificates import LOCAL
-from equipment.mqtt_broker import MOSQUITTO, PASSWORD, USER, MqttBroker, credentials
+from equipment.mqtt_broker import MOSQUITTO, PASSWORD, USER, credentials
 from equipment.polled import TIMEOUT, good, is_text, lost, wait
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
@@ -44,21 +44,6 @@ SENT = {
     'plc': '{"values": [1, 23.5]}',
 }
 VALUES = [pytest.approx(22.0), 21.5, 22.5, 23.5]
-
-
-@pytest.fixture
-def serve(tmp_path):
-    """Start a broker."""
-    made = []
-
-    def of(**security):
-        made.append(MqttBroker(tmp_path, **security))
-        made[-1].start()
-        return made[-1]
-
-    yield of
-    for broker in made:
-        broker.close()
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ import asyncio
 import random
 import struct
 import threading
-import time
 
 import pytest
 
@@ -16,7 +15,7 @@ pytest.importorskip('pymodbus')
 
 from asyncua import ua
 from equipment.field_servers import LOCAL, Field, HostileServer, ModbusServer, OpcUaServer, Route
-from equipment.polled import TIMEOUT, close, good, lost, wait
+from equipment.polled import TIMEOUT, good, lost, wait
 from equipment.secured_server import PINNING, SECURITY, secured, user_file
 
 from fuzzycnc_ros.adapters.modbus import link as modbus
@@ -24,7 +23,7 @@ from fuzzycnc_ros.adapters.opcua import session as opcua_session
 from fuzzycnc_ros.adapters.readings import polling
 from fuzzycnc_ros.adapters.readings.device_file import read_devices
 from fuzzycnc_ros.adapters.readings.device_source import DeviceHealth
-from fuzzycnc_ros.adapters.readings.polling import TEXT_MAX, Poller
+from fuzzycnc_ros.adapters.readings.polling import TEXT_MAX
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.runtime.component import Level
 
@@ -60,23 +59,17 @@ def field():
 
 
 @pytest.fixture
-def poll(tmp_path):
+def poll(poll_file):
     """Poll the devices of a file; return what came as it comes."""
-    pollers = []
 
     def begin(template, server, sensors, timeout=3.0, more=''):
-        path = tmp_path / 'devices.yaml'
-        path.write_text(
+        return poll_file(
             template.format(
                 host=LOCAL, port=server.port, sensors=sensors, timeout=timeout, more=more
             )
         )
-        pollers.append(Poller(read_devices(path), time.monotonic_ns))
-        return pollers[-1]
 
-    yield begin
-    for poller in pollers:
-        close(poller)
+    return begin
 
 
 @pytest.fixture

@@ -78,7 +78,7 @@ def test_time_that_cannot_be_meant_is_refused(refused, bag, model, text, naming)
 
 
 def test_from_nothing_all_is_learnt_from_probes(fuzzycnc, bag):
-    bags = (bag('a', rows=100), bag('b', rows=100), bag('damaged'))
+    bags = (bag('a', rows=100), bag('b', rows=98), bag('damaged'))
     (Path(bags[2]) / 'damaged_0.mcap').write_bytes(b'')
     outcome = fuzzycnc(
         'evaluate', *bags, '--from-nothing', '--carry', '--probe-every', '20min',

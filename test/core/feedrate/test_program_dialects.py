@@ -177,11 +177,21 @@ def test_blanks_inside_of_words_are_ignored(text):
         '\nTOOL CALL 1 Z S4000\nL X+9 FMAX\n',
         '1 BLK FORM 0.1 Z X+0 Y+0 Z-20\n',
         'begin pgm a inch\n',
+        '%\nBEGIN PGM A MM\n2 TOOL CALL 1 Z S3000\n',
+        '\r\n%\r\n0 BEGIN PGM A MM\r\n',
+        '; a comment\n* - rough\n2 BEGIN PGM A MM\n',
     ],
 )
 def test_plain_text_of_heidenhain_is_recognised_wherever_it_begins(text):
     with pytest.raises(ProgramError, match="Heidenhain's plain-text language"):
         read_program(text)
+
+
+def test_din_iso_of_heidenhain_is_told_from_a_program_number():
+    with pytest.raises(ProgramError, match=r"line 1: .*Heidenhain's DIN/ISO \(%PART G71 \*\)"):
+        read_program('%PART G71 *\nN10 G00 X+0 *\n')
+    assert read_program('%O1000\nG21 G1 F100 X1\n').segments
+    assert read_program('%1000 G71\nG1 F100 X1\n').segments
 
 
 def test_a_feed_beside_the_first_unit_is_in_it():

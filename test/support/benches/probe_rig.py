@@ -22,6 +22,18 @@ MM, MICRON = 1e-3, 1e-6
 BOX = {'X': (0.0, 0.3), 'Y': (-0.2, 0.0), 'Z': (-0.15, -0.005)}
 
 
+def reference_at(stamp: int) -> ThermalReference:
+    """Return a thermal reference that is taken at a stamp [ns]."""
+    return ThermalReference(
+        stamp=stamp,
+        cold_since=stamp,
+        set_by='test',
+        sensor=('T1',),
+        temperature=np.array([20.0]),
+        samples=3,
+    )
+
+
 def sphere() -> ProbePlan:
     """Return a cycle on a sphere: Y from both sides, Z from above."""
     ways = (
@@ -64,15 +76,7 @@ class ProbeRig(Bench):
 
     def reference(self) -> None:
         """Take the thermal reference now."""
-        record = ThermalReference(
-            stamp=nanoseconds(self.time),
-            cold_since=nanoseconds(self.time),
-            set_by='test',
-            sensor=('T1',),
-            temperature=np.array([20.0]),
-            samples=3,
-        )
-        self.give('thermal_reference', record)
+        self.give('thermal_reference', reference_at(nanoseconds(self.time)))
 
     def ask(self, due: bool, reason: str = 'the band is wide') -> None:
         """Tell what the predictor wants."""

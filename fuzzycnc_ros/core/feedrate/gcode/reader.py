@@ -636,9 +636,12 @@ def _sealed(block: Block) -> Block:
 
 
 _CONVERSATIONAL = re.compile(
-    r'\ufeff?\s*(?:\d+\s+)?(?:BEGIN\s+PGM|BLK\s+FORM|TOOL\s+(?:CALL|DEF)|CYCL\s+DEF)\b',
+    r'\ufeff?\s*((?:\d+\s+)?(?:BEGIN\s+PGM|BLK\s+FORM|TOOL\s+(?:CALL|DEF)|CYCL\s+DEF)\b.*'
+    r'|%\w+\s+G7[01]\s*\*)',
     re.IGNORECASE,
 )
+_HEADER = 50
+"""Lines in which another language is looked for behind others, such as `%` and comments."""
 _LINE = re.compile(r'[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+')
 _UNITS = {'mm': MILLIMETRE, 'inch': INCH}
 
@@ -714,12 +717,13 @@ class ProgramReader:
                     interpreter.notes.add(number, 'text after the end of the program: not read')
                 yield from interpreter.pass_by(text, number)
                 continue
-            if empty and _CONVERSATIONAL.match(text):
+            if (empty or number <= _HEADER) and (found := _CONVERSATIONAL.match(text)):
+                language = 'DIN/ISO' if found[1].startswith('%') else 'plain-text language'
                 raise ProgramError(
                     number,
-                    "expected G-code but found Heidenhain's plain-text language "
-                    f'({text.split(";")[0].strip()[:30]}): post the program for a control that '
-                    'reads G-code',
+                    f"expected G-code but found Heidenhain's {language} "
+                    f'({found[1].split(";")[0].strip()[:30]}): post the program for a control '
+                    'that reads G-code',
                 )
             line = read_line(text, number)
             empty = empty and line.end == 0
