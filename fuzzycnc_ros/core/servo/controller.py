@@ -196,7 +196,7 @@ class AxisController(ABC):
         if self._at is None:
             self._at = position
             self._begin(position)
-        if watch.swing.grows:
+        if watch.swing.grows or (self._share < 1.0 and watch.swing.lasts):
             self._take_back()
         if self._share < 1.0:  # as on an axis of less gain
             position = reference - self._share * (reference - position)

@@ -24,6 +24,9 @@ _DIES = 0.7
 _HALVES, _GROWN = 5, 2.0
 """Swings in a row that have to grow, each half a swing on, and ratio of the last to the first."""
 
+_STAYS, _LASTS = 0.9, 16
+"""Ratio of two swings in a row from which on a swing does not die, and how many in a row last."""
+
 
 class GrowingSwing:
     """Watches a following error for an oscillation that grows by itself.
@@ -69,13 +72,18 @@ class GrowingSwing:
         self._fresh = 2
         self._start_over()
 
+    @property
+    def lasts(self) -> bool:
+        """Whether a swing neither grows nor dies, as where the drive is at its limit."""
+        return self._alike >= _LASTS
+
     def start_over(self) -> None:
         """Look for a swing that grows anew; frequency and rate of the last one stay."""
         self.grows = False
         self._start_over()
 
     def _start_over(self) -> None:
-        self._side = self._length = self._last_length = self._halves = 0
+        self._side = self._length = self._last_length = self._halves = self._alike = 0
         self._peak = self._last_peak = self._first = 0.0
         self._swing = 0, 0.0
         self._driven = False
@@ -106,6 +114,8 @@ class GrowingSwing:
         length, size = self._length + self._last_length, self._peak + self._last_peak
         before, smaller = self._swing
         alike = length < _ALIKE * before and before < _ALIKE * length
+        stays = alike and not self._driven and size >= max(_STAYS * smaller, 2.0 * self._least)
+        self._alike = self._alike + 1 if stays else 0
         if self._driven or not alike or not smaller or size < _GROWS * smaller or length < 4:
             self._halves, self._first = 0, size
             self.grows = self.grows and size > _DIES * smaller
