@@ -46,6 +46,13 @@ _FOLLOWS = 40.0
 _OCTAVE_PARTS = 2
 """Frequencies of an octave for which the remainder is written down."""
 
+_NO_STEP = 1e-12
+"""Change of a reading that is none [m]."""
+
+_PARTS, _NEAR, _OFF = 12, 40.0, 0.2
+"""Parts of the least step that one count may be, counts of the steps that are looked at, and what
+they may be off a multiple of it [-]."""
+
 _BLOCKS = 20
 """Blocks of a recording over which the force of a spring is judged."""
 
@@ -134,7 +141,7 @@ def _machine_data(
     model = fit.model
     mass = 1.0 if force is None else force / model.gain
     full = mass * model.gain
-    count = _count(recordings)
+    count = sensor_count(recordings)
     period = recordings[0].period
     told = linear is not None and linear.resonance_known
     plant = BallscrewAxisConfig(
@@ -147,8 +154,8 @@ def _machine_data(
         force_constant=full / 10.0,
         voltage_max=10.0,
         delay=linear.delay.high if linear is not None else DEAD_TIME_MAX,
-        count=count if count < 1e-4 else 0.0,
-        noise=0.0 if count < 1e-4 else 1e-7,
+        count=count,
+        noise=0.0 if count else reading_noise(recordings),
         direction=direction,
         period=period,
     )
@@ -216,13 +223,40 @@ def _not_fit(linear: ResponseFit | None, unexplained: float, spring: float) -> s
     return ''
 
 
-def _count(recordings: Sequence[AxisRecording]) -> float:
-    """Return one count of the sensor [m], roundings of a file aside."""
+def sensor_count(recordings: Sequence[AxisRecording]) -> float:
+    """Return the count that every step of the sensor is a multiple of [m]; 0 where none is.
+
+    A fast recording may have few steps of one count, or none: the least step is no count yet.
+
+    Parameters
+    ----------
+    recordings : sequence of AxisRecording
+        Recordings in which the axis moves.
+    """
     steps = np.abs(np.concatenate([np.diff(one.position) for one in recordings]))
-    moved = np.sort(steps[steps > 0.0])
-    least = moved[int(0.001 * len(moved))]
-    # Digits of a file make steps of one count differ by a little.
-    return float(np.median(moved[moved < 1.5 * least]))
+    moved = np.sort(steps[steps > _NO_STEP])
+    least = float(moved[0])
+    for parts in range(1, _PARTS + 1):
+        count = least / parts
+        near = moved[moved < _NEAR * count]
+        for _ in range(2):  # digits of a file make steps of one count differ by a little
+            times = np.rint(near / count)
+            count = float(times @ near) / float(times @ times)
+        if len(near) >= _PARTS and np.abs(near / count - times).max() < _OFF:
+            return count
+    return 0.0
+
+
+def reading_noise(recordings: Sequence[AxisRecording]) -> float:
+    """Return the RMS of white noise of the readings [m].
+
+    Parameters
+    ----------
+    recordings : sequence of AxisRecording
+        Recordings of an axis, whose acceleration changes more slowly than its readings.
+    """
+    bends = np.abs(np.concatenate([np.diff(one.position, 3) for one in recordings]))
+    return float(np.median(bends)) / (0.6745 * sqrt(20.0))
 
 
 def _unexplained(

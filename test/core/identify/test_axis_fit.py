@@ -10,7 +10,7 @@ from scipy.io import loadmat
 from tiers import rest_slow
 from two_mass_axis import TwoMassAxis, TwoMassConfig, operated
 
-from fuzzycnc_ros.core.identify.axis_data import identify_axis
+from fuzzycnc_ros.core.identify.axis_data import identify_axis, reading_noise, sensor_count
 from fuzzycnc_ros.core.identify.axis_fit import AxisRecording, fit_axis, late
 from fuzzycnc_ros.core.identify.loop_fit import fit_loop, following
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
@@ -63,6 +63,26 @@ class Sprung(TwoMassAxis):
 
     def drive(self, duty):
         super().drive(duty - 3000.0 * self.position / self.config.force)
+
+
+@pytest.mark.parametrize('digits', [9, 12])
+@pytest.mark.parametrize('slowest', [1.0, 2.0, 5.0])
+def test_the_count_of_a_sensor_that_is_never_read_slowly(slowest, digits):
+    """The least step is two counts, or five; at run time steps of one are no fault then."""
+    draw = np.random.default_rng(3)
+    counts = np.cumsum(draw.choice([slowest, slowest + 1.0, slowest + 3.0, 90.0], 2000))
+    place = np.round(1.806e-7 * counts, digits)
+    recording = AxisRecording(np.zeros(len(place)), place, PERIOD)
+    assert sensor_count([recording]) == pytest.approx(1.806e-7, rel=1e-3)
+
+
+def test_readings_without_counts_have_noise_instead():
+    draw = np.random.default_rng(4)
+    time = PERIOD * np.arange(5000)
+    place = 0.05 * np.sin(3.0 * time) + 3e-7 * draw.standard_normal(len(time))
+    recording = AxisRecording(np.zeros(len(place)), place, PERIOD)
+    assert sensor_count([recording]) == 0.0
+    assert reading_noise([recording]) == pytest.approx(3e-7, rel=0.05)
 
 
 def test_an_axis_on_a_spring_is_not_fit_for_control():
