@@ -42,6 +42,10 @@ _GAIN_OF_MODE = 1.25
 _SHARP = 1.4
 """Ratio of the ends of its interval up to which a mode is told [-]."""
 
+_DAMPED = 0.35
+"""Damping from which on what looks like a mode is told as none [-]: backlash and friction bend a
+response as broadly, and differently at every amplitude."""
+
 _BEYOND, _NEAR = 1.15, 3.0
 """Ratio to which the response has to be known beyond a mode, and lines that have to be about it:
 what the last lines of a recording do is no mode."""
@@ -104,6 +108,10 @@ class Interval:
 
     def __contains__(self, value: float) -> bool:
         return self.low <= value <= self.high
+
+    def joined(self, other: Interval) -> Interval:
+        """Return the least interval that holds both."""
+        return Interval(min(self.low, other.low), max(self.high, other.high))
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,11 +190,12 @@ def fit_response(response: FrequencyResponse, gain: float, viscous: float) -> Re
         for v in (max(viscous, 0.1), 30.0 * max(viscous, 0.1))
     ]
     rigid = min((search.best(start) for start in starts), key=lambda one: one.cost)
-    found = rigid
+    found = closest = rigid
     for mode in np.geomspace(_LOWEST_MODE, max(1.3 * top, 2.0 * _LOWEST_MODE), 14):
         for ratio in (0.02, 2.0):
             start = rigid.values | {'mode': float(mode), 'damping': 0.06, 'ratio': ratio}
             other = search.best(start)
+            closest = min(closest, other, key=lambda one: one.cost)
             if other.cost < _WORTH * rigid.cost and other.cost < found.cost:
                 if search.shows(other, top):
                     found = other
@@ -194,6 +203,10 @@ def fit_response(response: FrequencyResponse, gain: float, viscous: float) -> Re
     ends = found.intervals()
     if not model.mode:
         ends['mode'] = Interval(search.room(found, top), inf)
+    if closest.cost < _WORTH * found.cost:  # a mode that may not be told may still be there
+        wider = closest.intervals()
+        for name in _RIGID:
+            ends[name] = ends[name].joined(wider[name])
     lag = search.with_lag(found)
     delay = Interval(min(ends['delay'].low, lag), ends['delay'].high)
     nothing = Interval(0.0, inf)
@@ -318,7 +331,7 @@ class _Search:
         if not max(_LOWEST_MODE, 2.0 * self.frequency[0]) < mode < top / _BEYOND:
             return False
         ends = found.intervals()['mode']
-        if ends.high > _SHARP * ends.low:
+        if ends.high > _SHARP * ends.low or found.values['damping'] > _DAMPED:
             return False
         model = LinearResponse(**found.values)
         plain = LinearResponse(**{name: found.values[name] for name in _RIGID})

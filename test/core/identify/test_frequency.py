@@ -11,7 +11,7 @@ from tiers import rest_slow
 from two_mass_axis import UNSEEN, TwoMassAxis, operated
 
 from fuzzycnc_ros.core.identify.axis_fit import AxisRecording
-from fuzzycnc_ros.core.identify.frequency import frequency_response
+from fuzzycnc_ros.core.identify.frequency import FrequencyResponse, frequency_response
 from fuzzycnc_ros.core.identify.response_fit import LinearResponse, fit_response
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
 from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
@@ -83,6 +83,23 @@ def test_the_mode_and_dead_time_of_a_belt_are_told():
     # a sensor at the motor: far above the mode the motor's mass is all that is left
     mass = (config.motor + config.slide) / config.motor
     assert found.model.ratio == pytest.approx(mass, rel=0.15)
+
+
+@pytest.mark.parametrize(('damping', 'told'), [(0.1, True), (0.45, False)])
+def test_a_broad_bend_of_the_response_is_no_mode(damping, told):
+    """As backlash makes one: to call it a mode would hide the one further up."""
+    frequency = np.asarray(np.geomspace(1.0, 80.0, 110), np.float64)
+    known = LinearResponse(
+        gain=9.0, viscous=4.0, delay=2e-3, mode=28.0, damping=damping, ratio=1.46
+    )
+    size = len(frequency)
+    response = FrequencyResponse(
+        frequency, known.at(frequency), np.full(size, 0.02), np.ones(size, bool),
+        np.ones(size), by_reference=False,
+    )  # fmt: skip
+    found = fit_response(response, 9.0, 4.0)
+    assert found.resonance_known == told
+    assert 2e-3 in found.delay
 
 
 def test_a_stiff_axis_leaves_room_for_modes_only_above():
