@@ -160,8 +160,11 @@ class AxisModels:
             if pairs:
                 unknown = np.minimum(measured, unknown)
             found = np.where(frequency > start, np.maximum(unknown, found), found)
+            # what a mode further up than that does here, which at the known lines does not show
             between = (frequency > known.known_to) & (frequency <= start)
-            found = np.where(between, np.minimum(measured, _UNKNOWN - 1.0), found)
+            square = np.minimum((frequency / start) ** 2, 0.99)
+            rise = np.clip(square / (1.0 - square), 0.1, _UNKNOWN - 1.0)
+            found = np.where(between, np.minimum(measured, rise), found)
         return np.asarray(found)
 
     @cached_property

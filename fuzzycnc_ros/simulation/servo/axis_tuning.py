@@ -74,6 +74,9 @@ _UNSTABLE = 1e6
 _SCANNED = 200
 """Settings whose margin is worked out before the first is driven."""
 
+_STIFFER = 10
+"""Generations of the search for the stiffest settings that are stable."""
+
 _PER_FAULT = 100.0
 """Factor on the cost for each case that is given up [-]."""
 
@@ -529,13 +532,40 @@ def _first_population(
     population: int,
     seed: int,
 ) -> Array:
-    """Return the logarithms of settings to begin with: the stiffest of many that are stable."""
+    """Return the logarithms of settings to begin with: stiff ones that are stable.
+
+    Half of them are the stiffest of many that are drawn, half those to which a search for the
+    stiffest has come.
+    """
     low, high = np.log(np.array([(low, high) for low, high, _ in ranges.values()])).T
+
+    def shortfall(point: Array) -> tuple[float, float]:
+        margin = models.margin(_made(data, name, _settings(ranges, point)), spread=False)
+        return margin.shortfall, margin.yielding
+
     draw = qmc.LatinHypercube(len(ranges), seed=np.random.default_rng([seed, 1]))
     points = low + (high - low) * draw.random(_SCANNED)
-    margins = [models.margin(_made(data, name, _settings(ranges, one))) for one in points]
-    order = sorted(range(len(points)), key=lambda k: (margins[k].shortfall, margins[k].yielding))
-    return np.asarray(points[order[: max(population * len(ranges), 5)]])
+    points = np.array(sorted(points, key=shortfall))
+    size = max(population * len(ranges), 6)
+
+    def gives(point: Array) -> float:
+        short, yielding = shortfall(point)
+        return log(yielding) + (_UNSTABLE * (1.0 + short) if short else 0.0)
+
+    evolve: Any = differential_evolution
+    stiffest = evolve(
+        gives,
+        list(zip(low, high, strict=True)),
+        init=points[:size],
+        maxiter=_STIFFER,
+        seed=np.random.default_rng([seed, 2]),
+        polish=False,
+        updating='deferred',
+        tol=0.0,
+    )
+    order = np.argsort(stiffest.population_energies)
+    best = stiffest.population[order[: (size + 1) // 2]]
+    return np.concatenate([best, points[: size - len(best)]])
 
 
 def judged_controller(
