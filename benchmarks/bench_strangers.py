@@ -62,9 +62,6 @@ GAINS = (0.5, 1.0, 1.5)
 WAYS = ('duty', 'loop')
 """How an axis is recorded: by duties, or by set points through a loop that exists."""
 
-TRIALS = 64
-"""Trials on the true axis, over PID and cascade."""
-
 
 class Driven:
     """A controller as the judge drives it: by set point, speed and reading."""
@@ -114,8 +111,10 @@ def _driven(data: AxisData, name: str, settings: dict[str, float]) -> Driven:
     return Driven(make_axis_controller(data, name, settings))
 
 
-def best_on_the_axis(axis: Axis, data: AxisData) -> float:
-    """Return the least error of trials on the true axis [m]."""
+def best_on_the_axis(axis: Axis, data: AxisData, trials: int) -> float:
+    """Return the least error of trials on the true axis, over PID and cascade [m]."""
+    if not trials:
+        return inf
     bounds = {name: (low, high) for name, (low, high, _) in SETTINGS.items()}
     bounds['bandwidth'] = 0.05, bounds['bandwidth'][1]
     names = ('pid', 'cascade')
@@ -124,15 +123,15 @@ def best_on_the_axis(axis: Axis, data: AxisData) -> float:
             axis,
             lambda parameters, name=name: _driven(data, name, parameters),
             bounds,
-            trials=TRIALS // len(names),
+            trials=trials // len(names),
         ).cost
         for name in names
     )
 
 
-def judged(piece: tuple[int, str, int, int]) -> dict[str, Any]:
+def judged(piece: tuple[int, str, int, int, int]) -> dict[str, Any]:
     """Return the row of an axis: what is told, what is written, what it is worth."""
-    seed, how, generations, population = piece
+    seed, how, generations, population, trials = piece
     warnings.simplefilter('ignore')
     axis = draw(seed)
     truth = axis.truth
@@ -149,7 +148,7 @@ def judged(piece: tuple[int, str, int, int]) -> dict[str, Any]:
     row |= _told(found, truth)
     plain = replace(data, knowledge=replace(data.knowledge, not_fit_for_control=''))
     row['untuned'] = true_error(axis, plain, UNTUNED_CONTROLLER, {})
-    row['best'] = best_on_the_axis(axis, plain)
+    row['best'] = best_on_the_axis(axis, plain, trials)
     row['written'] = inf
     try:
         data.known_plant()
@@ -202,7 +201,7 @@ def shown(rows: list[dict[str, Any]]) -> None:
     """Print rows and what they amount to."""
     print(
         f'{"axis":24} {"how":5} {"mode [Hz]":>12} {"delay [ms]":>11} {"untuned":>9} '
-        f'{"written":>9} {"64 trials":>9} [um]'
+        f'{"written":>9} {"trials":>9} [um]'
     )
     for row in rows:
         print(row_text(row))
@@ -224,7 +223,8 @@ def shown(rows: list[dict[str, Any]]) -> None:
             f'{how}: of {len(here)} written {len(kept)}, of these unstable {len(unstable)} (0); '
             f'refused {len(refused)} (3 of 20), of these the untuned default controls '
             f'{len(though)} (0); worse than it by more than 10 % {len(worse)} (0); '
-            f'over 64 trials x{exp(float(np.mean(both))) if both else inf:.2f} (1.30); intervals '
+            f'over trials on the true axis x{exp(float(np.mean(both))) if both else inf:.2f} '
+            f'(1.30); intervals '
             f'that hold the truth {told} of {2 * len(here)} (95 %)'
         )
     print(f'{len(seeds)} axes')
@@ -237,12 +237,13 @@ def main() -> int:
     options.add_argument('last', type=int, nargs='?', default=20)
     options.add_argument('--generations', type=int, default=2)
     options.add_argument('--population', type=int, default=4)
+    options.add_argument('--trials', type=int, default=64, help='on the true axis; 0 for none')
     options.add_argument('--jobs', type=int, default=os.cpu_count())
     options.add_argument('--how', choices=WAYS, action='append')
     options.add_argument('--json', type=Path)
     asked = options.parse_args()
     pieces = [
-        (seed, how, asked.generations, asked.population)
+        (seed, how, asked.generations, asked.population, asked.trials)
         for seed in range(asked.first, asked.last)
         for how in asked.how or WAYS
     ]
