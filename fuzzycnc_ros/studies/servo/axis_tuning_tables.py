@@ -70,27 +70,28 @@ FIGURES = ('rms', 'largest', 'rest')
 
 
 def axis_tuning_remarks(found: AxisTuning) -> list[Remark]:
-    """Return which controller suits the axis, and by how much."""
+    """Return which controller is recommended on the axis, and by how much."""
     winner, best = found.winner, found.best
     others = [one for one in found.controllers if one is not winner]
-    nearest = min(others, key=lambda one: one.against(winner)[0])
+    nearest = min(others, key=lambda one: (not one.robust, one.against(winner)[0]))
     ratio, spread = nearest.against(winner)
-    lines = []
-    if winner is best:
+    told = f'recommended on your axis: {LABELS[winner.name]}'
+    if not winner.robust:
+        told = 'recommended on your axis: none, as none is stable over all that it may be'
+    elif winner is not best:
+        told += (
+            f'; {LABELS[best.name]} is no better by more than 5 %, and of equals the simpler one '
+            'is taken'
+        )
+    elif nearest.robust:
         apart = 'beyond chance' if ratio > spread**2 else 'not beyond chance'
-        lines.append(
-            Remark(
-                f'{LABELS[winner.name]} suits this axis: {LABELS[nearest.name]} comes next with '
-                f'{100.0 * (ratio - 1.0):.0f} % larger errors, {apart}'
-            )
+        told += (
+            f'; {LABELS[nearest.name]} comes next with {100.0 * (ratio - 1.0):.0f} % larger '
+            f'errors, {apart}'
         )
     else:
-        lines.append(
-            Remark(
-                f'{LABELS[winner.name]} suits this axis: {LABELS[best.name]} is no better by more '
-                'than 5 %, and of equals the simpler one is taken'
-            )
-        )
+        told += '; no other has a margin on what is unknown of the axis'
+    lines = [Remark(told, warning=not winner.robust)]
     lines.append(_fuzzy(found))
     if winner.faults:
         lines.append(
