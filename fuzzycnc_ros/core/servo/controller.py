@@ -8,6 +8,8 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from math import inf, isfinite, nan
 
+import numpy as np
+
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits, FeedbackWatch
@@ -17,6 +19,35 @@ _TAKEN_BACK, _LEAST = 0.5, 0.2
 """Share of the gain that a loop which is unstable goes on with, and what it has to have left
 before
 the last such step [-]."""
+
+
+def closed_loop(
+    dynamics: Array, duty: Array, reading: Array, law: tuple[Array, Array, Array, float]
+) -> Array:
+    """Return the transition of an axis and of the law that closes its loop.
+
+    Parameters
+    ----------
+    dynamics : ndarray, shape (n, n)
+        Transition of the axis in a period.
+    duty, reading : ndarray, shape (n,)
+        What a duty adds to its states, and the row of its reading.
+    law : tuple
+        As `AxisController.feedback_law` returns it, with k states.
+
+    Returns
+    -------
+    ndarray, shape (n + k, n + k)
+        Transition of both.
+    """
+    inner, entry, row, direct = law
+    size = len(dynamics)
+    whole = np.empty((size + len(inner), size + len(inner)))
+    whole[:size, :size] = dynamics + direct * np.outer(duty, reading)
+    whole[:size, size:] = np.outer(duty, row)
+    whole[size:, :size] = np.outer(entry, reading)
+    whole[size:, size:] = inner
+    return whole
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,11 +258,21 @@ class AxisController(ABC):
     def _take_back(self) -> None:
         """Take gain back where less of it is stable; else give up."""
         swing = self.watch.swing
-        if self._keeps_gain or self._share < _LEAST:
+        less = _TAKEN_BACK * self._share
+        if self._keeps_gain or self._share < _LEAST or not self._settles(less):
             self.watch.give_up_unstable()
             return
-        self._share *= _TAKEN_BACK
+        self._share = less
         swing.start_over()
+
+    def _settles(self, share: float) -> bool:
+        """Whether the loop with the nominal axis is stable at a share of its gain.
+
+        One with an integral that is fast for its bandwidth is not, however little is left.
+        """
+        dynamics, duty, _ = self.axis.discrete()
+        whole = closed_loop(dynamics, duty, share * self.axis.c, self.feedback_law())
+        return float(np.abs(np.linalg.eigvals(whole)).max()) < 1.0 + 1e-9
 
     @abstractmethod
     def feedback_law(self) -> tuple[Array, Array, Array, float]:

@@ -64,17 +64,17 @@ def test_what_the_reference_does_back_and_forth_is_no_swing():
 STRONG = BallscrewAxisConfig(delay=2e-3, count=1e-6)
 
 
-def moved(name, factor, *, vertical=False):
+def moved(name, factor, *, vertical=False, estimator=3.0):
     """Move an axis that is stronger by a factor than its controller knows."""
     data = AxisData(limits=AxisLimits(vertical=vertical), plant=STRONG)
-    controller = make_axis_controller(data, name, {'bandwidth': 2.0})
+    controller = make_axis_controller(data, name, {'bandwidth': 2.0, 'estimator': estimator})
     limits = ProfileLimits(velocity=0.2, acceleration=1.0, jerk=20.0)
     way = point_to_point(0.0, 0.05, limits).sample(PERIOD)
     plant = BallscrewAxis(replace(STRONG, gain_factor=factor))
     return controller, position(controller, plant, way, 2.0)
 
 
-@pytest.mark.parametrize(('name', 'factor'), [('pid', 3.0), ('variable_universe', 2.0)])
+@pytest.mark.parametrize(('name', 'factor'), [('cascade', 1.8), ('variable_universe', 2.0)])
 def test_gain_is_taken_back_before_a_fault(name, factor):
     controller, run = moved(name, factor)
     assert controller.taken_back
@@ -90,8 +90,10 @@ def test_a_loop_that_is_stable_keeps_its_gain():
     assert not run.fault
 
 
-def test_a_vertical_axis_stops_instead():
-    controller, run = moved('pid', 3.0, vertical=True)
+@pytest.mark.parametrize('change', [{'vertical': True, 'estimator': 1.0}, {'estimator': 3.0}])
+def test_a_vertical_axis_and_one_that_less_gain_makes_unstable_stop_instead(change):
+    """With an integral that is fast for its bandwidth half of the gain swings by itself."""
+    controller, run = moved('pid', 3.0, **change)
     assert not controller.taken_back
     assert 'unstable' in run.fault
     assert run.duty[-1] == 0.0
