@@ -191,8 +191,8 @@ def _machine_data(
         knowledge = replace(
             knowledge,
             known_to=linear.known_to,
-            gain_low=min(max(linear.gain.low / linear.model.gain, 0.5), 1.0),
-            gain_high=max(min(linear.gain.high / linear.model.gain, 2.0), 1.0),
+            gain_low=min(max(linear.level.low, 0.5), 1.0),
+            gain_high=max(min(linear.level.high, 2.0), 1.0),
             delay_low=linear.delay.low,
             mode_low=linear.mode.low,
             mode_high=linear.mode.high if isfinite(linear.mode.high) else 0.0,

@@ -21,6 +21,9 @@ from fuzzycnc_ros.core.identify.frequency import FrequencyResponse
 DEAD_TIME_MAX = 0.05
 """Longest dead time that is looked for [s]."""
 
+LEVEL = 5.0
+"""Frequency at which the level of a response is judged [Hz]: near where loops cross over."""
+
 _SIGMAS = 2.6
 """Half width of an interval in standard errors [-]."""
 
@@ -122,6 +125,9 @@ class ResponseFit:
     ----------
     model : LinearResponse
         The best model.
+    level : Interval
+        Factor on the response at `LEVEL`: gain and friction of an axis whose speed follows its
+        command are known together far better than each alone.
     gain, viscous, delay, mode, damping, ratio : Interval
         Intervals of its parameters.  Where no mode is told that of `mode` begins at the lowest
         frequency at which the lines leave room for one that moves half of the mass or more.
@@ -134,6 +140,7 @@ class ResponseFit:
     """
 
     model: LinearResponse
+    level: Interval
     gain: Interval
     viscous: Interval
     delay: Interval
@@ -213,6 +220,7 @@ def fit_response(response: FrequencyResponse, gain: float, viscous: float) -> Re
     measured = response.response / model.at(response.frequency)
     return ResponseFit(
         model,
+        ends['level'],
         ends['gain'],
         ends['viscous'],
         delay,
@@ -239,8 +247,14 @@ class _Found:
     def intervals(self) -> dict[str, Interval]:
         """Return the intervals of the parameters; the misfit widens them."""
         scale = max(2.0 * self.cost / self.free, 1.0)
-        spread = np.sqrt(scale * np.diag(np.linalg.pinv(self.slope.T @ self.slope)))
-        ends = {}
+        covariance = scale * np.linalg.pinv(self.slope.T @ self.slope)
+        spread = np.sqrt(np.diag(covariance))
+        square = self.values['viscous'] ** 2
+        apart = np.zeros(len(self.names))
+        apart[self.names.index('gain')] = 1.0
+        apart[self.names.index('viscous')] = -square / (square + (2.0 * pi * LEVEL) ** 2)
+        width = max(_SIGMAS * float(apart @ covariance @ apart) ** 0.5, 0.02)
+        ends = {'level': Interval(exp(-min(width, 50.0)), exp(min(width, 50.0)))}
         for name, width in zip(self.names, (_SIGMAS * spread).tolist(), strict=True):
             value, (least, most) = self.values[name], _BOUNDS[name]
             if name == 'delay':

@@ -21,10 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.identify.response_fit import LEVEL
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData
 from fuzzycnc_ros.core.servo.axis import exponential
-from fuzzycnc_ros.core.servo.controller import AxisController
+from fuzzycnc_ros.core.servo.controller import AxisController, closed_loop
 
 ROBUST_GAINS = (0.48, 0.7, 1.0, 1.3, 1.55)
 """Factors on the gain at which a loop has to be stable: half to one and a half times, and a little
@@ -175,11 +176,15 @@ class AxisModels:
     def _drawn(self) -> Iterator[BallscrewAxisConfig]:
         known, plant = self.data.knowledge, self.plant
         draw = np.random.default_rng(0)
+        turn = 2j * pi * LEVEL
+        rubs = 0.5 * (plant.viscous_forward + plant.viscous_backward) / plant.mass
         yield plant
         for number in range(_SAMPLES):
             gain, friction, damping, ratio, mode, late = draw.random(6)
             share = known.gain_low * (known.gain_high / known.gain_low) ** gain
             viscous = 0.5 * 3.0**friction
+            # what rubs less answers as strongly at the loop's frequencies: that is what is known
+            share *= abs(turn + viscous * rubs) / abs(turn + rubs)
             short = min(known.delay_low, plant.delay)
             changes = {
                 'force_constant': plant.force_constant * share,
@@ -297,18 +302,15 @@ def _response(model: _Sampled, frequency: Array, period: float) -> NDArray[np.co
 
 def _radius(law: tuple[Array, Array, Array, float], models: tuple[_Sampled, ...]) -> float:
     """Return the largest magnitude of a pole over models and gains, as if damped less."""
-    inner, entry, row, direct = law
     worst = 0.0
     for model in models:
-        size, own = len(model.duty), len(inner)
-        whole = np.empty((len(ROBUST_GAINS), size + own, size + own))
-        for place, gain in enumerate(ROBUST_GAINS):
-            # a loop does not care where in it the gain is: here at the reading
-            reading = gain * model.reading
-            whole[place, :size, :size] = model.dynamics + direct * np.outer(model.duty, reading)
-            whole[place, :size, size:] = np.outer(model.duty, row)
-            whole[place, size:, :size] = np.outer(entry, reading)
-            whole[place, size:, size:] = inner
+        # a loop does not care where in it the gain is: here at the reading
+        whole = np.array(
+            [
+                closed_loop(model.dynamics, model.duty, gain * model.reading, law)
+                for gain in ROBUST_GAINS
+            ]
+        )
         values = np.linalg.eigvals(whole).ravel()
         angle = np.abs(np.angle(values))
         worst = max(worst, float((np.abs(values) * np.exp(_DECAY * angle)).max()))

@@ -25,8 +25,10 @@ class AxisKnowledge(Config):
         low=0.0,
         high=1e5,
     )
-    gain_low: float = param(1.0, '-', 'Least gain, as share of the model', low=0.01, high=1.0)
-    gain_high: float = param(1.0, '-', 'Largest gain, as share of the model', low=1.0, high=100.0)
+    gain_low: float = param(1.0, '-', 'Least response at 5 Hz over the model', low=0.01, high=1.0)
+    gain_high: float = param(
+        1.0, '-', 'Largest response at 5 Hz over the model', low=1.0, high=100.0
+    )
     delay_low: float = param(0.0, 's', 'Shortest dead time', low=0.0, high=0.1)
     mode_low: float = param(
         0.0,

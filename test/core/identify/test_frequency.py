@@ -102,6 +102,22 @@ def test_a_broad_bend_of_the_response_is_no_mode(damping, told):
     assert 2e-3 in found.delay
 
 
+def test_what_answers_by_its_speed_is_known_in_level_not_in_gain():
+    """As a valve: gain and friction alone are anything, and what they give together is not."""
+    frequency = np.asarray(np.geomspace(1.0, 15.0, 70), np.float64)
+    axis = LinearResponse(gain=280.0, viscous=600.0, delay=5e-3)
+    draw = np.random.default_rng(5).standard_normal((2, len(frequency)))
+    size = len(frequency)
+    response = FrequencyResponse(
+        frequency, axis.at(frequency) * np.exp(0.05 * (draw[0] + 1j * draw[1])),
+        np.full(size, 0.05), np.ones(size, bool), np.ones(size), by_reference=False,
+    )  # fmt: skip
+    found = fit_response(response, 280.0, 300.0)
+    assert found.gain.high > 2.0 * found.gain.low
+    assert found.level.high < 1.2 * found.level.low
+    assert 1.0 in found.level
+
+
 def test_a_stiff_axis_leaves_room_for_modes_only_above():
     recording = operated(BallscrewAxis(BallscrewAxisConfig(count=1e-7)), 3.7)
     found = fitted([recording], 3.7)

@@ -62,6 +62,20 @@ def test_the_longest_dead_time_counts():
     assert not AxisModels(late).margin(controller).robust
 
 
+def test_models_that_rub_differently_answer_alike_where_that_is_known():
+    plant = replace(FREE, viscous_forward=3e4, viscous_backward=3e4)
+    known = replace(KNOWN, gain_low=0.9, gain_high=1.1)
+    models = AxisModels(AxisData(plant=plant, knowledge=known))
+    z = np.exp(2j * np.pi * 5.0 * models.period)
+    sizes = []
+    for one in models.samples:
+        states = np.linalg.solve(z * np.eye(len(one.duty)) - one.dynamics, one.duty)
+        sizes.append(abs(states @ one.reading))
+    assert max(sizes) < 1.12 * sizes[0]
+    assert min(sizes) > 0.88 * sizes[0]
+    assert max(sizes) > 1.1 * min(sizes)
+
+
 def test_an_unknown_response_bounds_the_loop():
     data = AxisData(plant=replace(FREE, delay=1e-3), knowledge=KNOWN)
     controller = make_axis_controller(
