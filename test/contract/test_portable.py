@@ -37,6 +37,7 @@ DECIDES = {
     ('core/thermal/sensor_watch.py', 'np.linalg.eigvalsh'): 'likewise',
     ('core/feedrate/path/nurbs.py', 'np.linalg.svd'): 'tells straight from bent, and no number',
     ('core/servo/params.py', 'np.linalg.eigvals'): 'tells stable from unstable, and no number',
+    ('core/servo/controller.py', 'np.linalg.eigvals'): 'likewise, when a loop swings already',
     ('core/servo/params.py', '@'): 'likewise',
     ('core/feedrate/gcode/expressions.py', 'math.atan2'): 'a program has those of the C library',
     ('core/feedrate/gcode/expressions.py', 'math.acos'): 'likewise',
