@@ -183,6 +183,8 @@ def test_metadata_that_promises_more_is_refused(small_bag):
             's as the duration of bag_0.mcap',
         ),
         ('storage_identifier: mcap', 'storage_identifier: sqlite3', 'says sqlite3 as storage but'),
+        ("compression_format: ''", 'compression_format: zstd', 'says zstd as compression of'),
+        ("compression_mode: ''", 'compression_mode: FILE', 'says file as compression of files'),
         (
             'type: fuzzycnc_msgs/msg/Temperatures',
             'type: std_msgs/msg/String',
