@@ -127,8 +127,12 @@ def test_it_tells_when_the_next_probe_is_due_and_why(view):
 
 def test_one_screen_waits_for_a_compensator_that_is_found_late():
     view = MachineView('mill')
-    view.take('compensation', offsets(-12.34e-6)[0], 0.0)
-    view.take_health('thermal_predictor', [], 0.0)
+    told = Temperatures(
+        stamp=SECOND, sensor=('t',), temperature=np.full(1, 20.0), status=np.zeros(1, np.uint8)
+    )
+    view.take('temperatures', told, 0.0)
+    view.take_health('thermal_predictor', [Health('prediction', Level.OK, '', {})], 0.0)
+    assert view.complete
 
     class Graph:
         def __init__(self):
@@ -139,13 +143,12 @@ def test_one_screen_waits_for_a_compensator_that_is_found_late():
 
         def look(self):
             if self.waited == 3:
-                view.take_health('compensator', [], 0.0)
+                view.take_health('compensator', [Health('state', Level.OK, '', {})], 0.0)
 
         def read(self):
             pass
 
-    assert view.complete
     graph = Graph()
     _settle(graph, graph, view)
     assert graph.waited == 3
-    assert view.document(0.0)['state']['compensation'] == 'active'
+    assert view.document(0.0)['state']['compensation'] == 'inactive'
