@@ -482,7 +482,7 @@ class BagReader:
             f'{self.path}: expected chunks one after the other in time but {len(group)} of them, '
             'more than'
         )
-        if sum(block.size for _, _, block in group) > _OVERLAP_MAX:
+        if len(group) > 1 and sum(block.size for _, _, block in group) > _OVERLAP_MAX:
             raise BagFormatError(f'{expected} {_OVERLAP_MAX} bytes, overlap')
         messages: list[RawMessage] = []
         for _, part, block in sorted(

@@ -376,6 +376,19 @@ def test_bomb_without_stated_size_is_refused(tmp_path):
         BagReader(tmp_path / 'a.mcap')
 
 
+def test_one_chunk_too_large_is_no_overlap(tmp_path):
+    """130 MiB in 4 kB, as its head and its index say."""
+    path = tmp_path / 'a.mcap'
+    with open(path, 'wb') as file:
+        writer = mcap.writer.Writer(file, chunk_size=1 << 30)
+        writer.start('ros2', '')
+        schema = writer.register_schema('std_msgs/msg/String', 'ros2msg', b'string data')
+        writer.add_message(writer.register_channel('/said', 'cdr', schema), 0, bytes(130 << 20), 0)
+        writer.finish()
+    with BagReader(path) as reader, pytest.raises(BagFormatError, match='its head states 1363'):
+        list(reader.raw_messages())
+
+
 @pytest.mark.parametrize('method', ['lz4', 'zstd', 'none'])
 def test_chunks_of_other_writers_are_read_however_they_are_compressed(tmp_path, method):
     path = tmp_path / 'a.mcap'
