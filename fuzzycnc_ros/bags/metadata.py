@@ -187,7 +187,8 @@ class Metadata:
     custom : dict
         Further facts, text to text.
     compression : str
-        rosbag2's own compression of whole files or messages; empty if there is none.
+        rosbag2's own compression of whole files or messages, mode and format; empty if there is
+        none.
     version : int
         Version of the file.
     stated : int, optional
@@ -314,7 +315,8 @@ def _metadata(content: dict[str, Any]) -> Metadata:
         )
         for entry in content['topics_with_message_count']
     ]
-    mode = str(content.get('compression_mode') or '').lower()
+    entries = (str(content.get(f'compression_{name}') or '') for name in ('mode', 'format'))
+    compression = ' '.join(text for text in entries if text.lower() not in ('', 'none'))
     custom = content.get('custom_data') or {}
     return Metadata(
         storage=str(content['storage_identifier']),
@@ -323,7 +325,7 @@ def _metadata(content: dict[str, Any]) -> Metadata:
         stop=start + int(content['duration']['nanoseconds']) if count else 0,
         topics=topics,
         custom={str(key): str(value) for key, value in custom.items()},
-        compression='' if mode == 'none' else mode,
+        compression=compression.lower(),
         version=version,
         stated=count,
     )

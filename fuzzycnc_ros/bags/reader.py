@@ -413,6 +413,9 @@ class BagReader:
         there = [sum((contents.promised or {}).values()) for contents in self._contents]
         kinds = {'mcap' if isinstance(file, McapFile) else 'sqlite3' for file in self._files}
         compared = [(f'{metadata.storage} as storage', kind) for kind in sorted(kinds)]
+        if metadata.compression and 'message' not in metadata.compression.split():
+            # Files that rosbag2 had compressed would not have been opened.
+            compared.append((f'{metadata.compression} as compression of files', 'none'))
         compared += [
             (f'{topic.type} on {topic.name}', self.connections[topic.name].type)
             for topic in metadata.topics
@@ -479,7 +482,7 @@ class BagReader:
             f'{self.path}: expected chunks one after the other in time but {len(group)} of them, '
             'more than'
         )
-        if sum(block.size for _, _, block in group) > _OVERLAP_MAX:
+        if len(group) > 1 and sum(block.size for _, _, block in group) > _OVERLAP_MAX:
             raise BagFormatError(f'{expected} {_OVERLAP_MAX} bytes, overlap')
         messages: list[RawMessage] = []
         for _, part, block in sorted(

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import re
 import stat
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from math import inf, isfinite
 from pathlib import Path
@@ -18,6 +19,7 @@ SIZE_MAX = 1_000_000
 """Largest file that is read [bytes]."""
 
 _SECTION = re.compile(r'\[\s*([A-Za-z0-9_]+)\s*\]')
+_INCLUDE = re.compile(r'#INCLUDE\s+(\S.*)')
 _LENGTH: Mapping[str, float] = MappingProxyType(
     {'mm': 1e-3, 'metric': 1e-3, 'cm': 1e-2, 'inch': 25.4e-3, 'in': 25.4e-3, 'imperial': 25.4e-3}
 )
@@ -108,8 +110,8 @@ def _near(value: float) -> bool:
     return abs(value) < _FAR
 
 
-def _entries(path: Path) -> dict[str, dict[str, tuple[str, int]]]:
-    """Return entries and their lines by section; the first of several with one name counts."""
+def _text(path: Path) -> str:
+    """Return the text of a configuration, or of a file that one includes."""
     try:
         status = path.stat()
         # A pipe would be waited for; an endless device has no size.
@@ -117,12 +119,45 @@ def _entries(path: Path) -> dict[str, dict[str, tuple[str, int]]]:
             status.st_size > SIZE_MAX
         ):
             raise ValueError(f'{path}: expected a LinuxCNC configuration, a file of at most 1 MB')
-        text = path.read_text(encoding='utf-8', errors='replace')
+        return path.read_text(encoding='utf-8', errors='replace')
     except OSError as error:
         raise ValueError(os_sentence(error, path)) from error
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield the lines of a configuration with their numbers.
+
+    Those of a file that it includes have the number of the line that says so.  What is included
+    includes nothing: LinuxCNC expands one level.
+    """
+    size = 0
+    for number, line in enumerate(_text(path).split('\n'), 1):  # no other mark ends a line
+        included = _INCLUDE.match(line)
+        if included is None:
+            yield number, line
+            continue
+        name = Path(included[1].strip())
+        with suppress(RuntimeError):  # a home folder that nobody has
+            name = name.expanduser()
+        try:
+            text = _text(path.parent / name)
+        except ValueError as error:
+            raise ValueError(f'{path}: line {number}: #INCLUDE: {error}') from error
+        size += len(text)
+        if size > SIZE_MAX:
+            raise ValueError(
+                f'{path}: line {number}: #INCLUDE: expected a LinuxCNC configuration of at most '
+                '1 MB in all'
+            )
+        for inner in text.split('\n'):
+            yield number, inner
+
+
+def _entries(path: Path) -> dict[str, dict[str, tuple[str, int]]]:
+    """Return entries and their lines by section; the first of several with one name counts."""
     found: dict[str, dict[str, tuple[str, int]]] = {}
     section: dict[str, tuple[str, int]] = {}
-    for number, raw in enumerate(text.split('\n'), 1):  # no other mark ends a line of LinuxCNC's
+    for number, raw in _lines(path):
         line = raw.strip()
         if not line or line[0] in '#;':
             continue

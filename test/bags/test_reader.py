@@ -183,6 +183,8 @@ def test_metadata_that_promises_more_is_refused(small_bag):
             's as the duration of bag_0.mcap',
         ),
         ('storage_identifier: mcap', 'storage_identifier: sqlite3', 'says sqlite3 as storage but'),
+        ("compression_format: ''", 'compression_format: zstd', 'says zstd as compression of'),
+        ("compression_mode: ''", 'compression_mode: FILE', 'says file as compression of files'),
         (
             'type: fuzzycnc_msgs/msg/Temperatures',
             'type: std_msgs/msg/String',
@@ -372,6 +374,19 @@ def test_bomb_without_stated_size_is_refused(tmp_path):
     one_chunk(tmp_path / 'a.mcap', 100, data)
     with pytest.raises(BagFormatError, match=r'decompressed|found'):
         BagReader(tmp_path / 'a.mcap')
+
+
+def test_one_chunk_too_large_is_no_overlap(tmp_path):
+    """130 MiB in 4 kB, as its head and its index say."""
+    path = tmp_path / 'a.mcap'
+    with open(path, 'wb') as file:
+        writer = mcap.writer.Writer(file, chunk_size=1 << 30)
+        writer.start('ros2', '')
+        schema = writer.register_schema('std_msgs/msg/String', 'ros2msg', b'string data')
+        writer.add_message(writer.register_channel('/said', 'cdr', schema), 0, bytes(130 << 20), 0)
+        writer.finish()
+    with BagReader(path) as reader, pytest.raises(BagFormatError, match='its head states 1363'):
+        list(reader.raw_messages())
 
 
 @pytest.mark.parametrize('method', ['lz4', 'zstd', 'none'])

@@ -243,6 +243,21 @@ def test_a_configuration_of_linuxcnc_has_lines_as_linuxcnc_reads_them(machine, t
     assert machine('linuxcnc: {ini: mill.ini}').axes['X'].limits.velocity == pytest.approx(0.05)
 
 
+def test_limits_in_files_that_a_configuration_of_linuxcnc_includes_count(machine, tmp_path):
+    text = '#INCLUDE limits.inc\n[TRAJ]\nLINEAR_UNITS = mm\n'
+    limits = tmp_path / 'limits.inc'
+    limits.write_text('#INCLUDE limits.inc\n[AXIS_X]\nMAX_VELOCITY = 50\n')
+    (tmp_path / 'mill.ini').write_text(text)
+    assert machine('linuxcnc: {ini: mill.ini}').axes['X'].limits.velocity == pytest.approx(0.05)
+    (tmp_path / 'mill.ini').write_text(2_000 * '#INCLUDE limits.inc\n' + text)
+    limits.write_text(100 * '[AXIS_X]\n')
+    with pytest.raises(ValueError, match=r'line \d+: #INCLUDE: expected .* 1 MB in all'):
+        machine('linuxcnc: {ini: mill.ini}')
+    limits.unlink()
+    with pytest.raises(ValueError, match=r'line 1: #INCLUDE: .*limits\.inc'):
+        machine('linuxcnc: {ini: mill.ini}')
+
+
 @pytest.mark.parametrize('kind', ['pipe', 'device', 'folder'])
 def test_what_is_no_file_is_no_configuration_of_linuxcnc(machine, tmp_path, kind):
     """A pipe would be waited for, and a device may have no end."""

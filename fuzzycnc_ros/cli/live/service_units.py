@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from fuzzycnc_ros.cli.live.supervision_run import ENDED_FIRST
 from fuzzycnc_ros.core.names import file_word
 from fuzzycnc_ros.ros.bring_up import ACTIVE_TIMEOUT, NODE_STOP, RECORDER_STOP
 
@@ -124,8 +125,8 @@ def graph_unit(place: Place, machine: str, options: Sequence[str]) -> Unit:
         unit_name(machine),
         f'fuzzycnc: machine {machine}',
         line,
-        # Nodes end first, then recorders.
-        stop=NODE_STOP + RECORDER_STOP,
+        # Nodes end one after the other where readings come from, then the rest, then recorders.
+        stop=(len(ENDED_FIRST) + 1) * NODE_STOP + RECORDER_STOP,
         start=MANAGED * ACTIVE_TIMEOUT,
         lines=(f'StateDirectory={state}',),
     )

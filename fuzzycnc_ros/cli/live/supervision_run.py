@@ -33,6 +33,9 @@ computer permitting."""
 COMING_BACK = 30.0
 """Wall time [s] in which a node that was started anew reports, also on a busy computer."""
 
+ENDED_FIRST = (('simulated_machine', 'simulated_body'), ('temperature_acquisition',))
+"""Nodes that are ended before the others, in this order: where readings come from."""
+
 Plan = Sequence[tuple[NodeSpec, ...]]
 """Processes of one machine, each with one node or several composed ones."""
 
@@ -211,13 +214,19 @@ def _await_active(
 
 
 def _end(graphs: Sequence[GraphProcesses]) -> None:
-    """End all nodes; the recorders last, so that they hear the others out."""
-    for late in (False, True):
+    """End all nodes along the way of a reading; the recorders last, as they hear the others out.
+
+    Who is ended before what it reads from would leave the last message without an answer, which
+    the recording then lacks.
+    """
+    ordered = {name for names in ENDED_FIRST for name in names} | {'recorder'}
+    others = {name for graph in graphs for name in graph.names} - ordered
+    for phase in (*map(set, ENDED_FIRST), others, {'recorder'}):
         asked = [
             (graph, graph.interrupt(name))
             for graph in graphs
             for name in graph.names
-            if late or name != 'recorder'
+            if name in phase
         ]
         for graph, names in asked:
             graph.wait_ended(names)

@@ -96,9 +96,12 @@ def _found(operator: 'Operator', watched: 'MachineWatch', name: str) -> 'Machine
 
 
 def _settle(operator: 'Operator', watched: 'MachineWatch', view: 'MachineView') -> None:
-    """Listen until every node has reported and there are data."""
+    """Listen until every node has reported and there are data, one that works offsets out too.
+
+    Those that are known may be all that discovery has found yet.
+    """
     until = time.monotonic() + COMPLETE_WITHIN
-    while time.monotonic() < until and not view.complete:
+    while time.monotonic() < until and not (view.complete and 'compensator' in view.nodes):
         _listen(operator, watched, 0.05)
 
 

@@ -682,8 +682,9 @@ def _object(text: str) -> Mapping[str, Any]:
 
 
 def _cluster(chosen: str, member: Iterable[str]) -> dict[str, Any]:
-    """Return a cluster of sensors as it is shown."""
-    return {'chosen': visible(chosen), 'members': list(map(visible, member))}
+    """Return a cluster of sensors as it is shown, the chosen one first."""
+    others = [name for name in member if name != chosen]
+    return {'chosen': visible(chosen), 'members': list(map(visible, [chosen, *others]))}
 
 
 def _model_clusters(document: Mapping[str, Any]) -> list[dict[str, Any]]:

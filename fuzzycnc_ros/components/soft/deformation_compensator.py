@@ -269,7 +269,9 @@ class DeformationCompensator(Component[DeformationCompensatorConfig]):
         for source in (self._offsets, self._model):
             if source is None or not isinstance(source.content, StitchOffsets):
                 continue
-            self._unused = source.content.mismatch(pattern.path_id, material.name, points)
+            self._unused = source.content.mismatch(
+                pattern.path_id, material.name, material.thickness, points
+            )
             if not self._unused:
                 return source
         return None

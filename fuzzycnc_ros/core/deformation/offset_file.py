@@ -26,7 +26,7 @@ SHEET_MAX = 100.0
 """Largest coordinate, and largest offset, of a stitch [m]: no sheet is larger."""
 
 SAME_POINT = 1e-6
-"""Nominal points that differ by no more are the same [m]."""
+"""Nominal points, and thicknesses, that differ by no more are the same [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,20 +43,25 @@ class StitchOffsets:
         Nominal points that the offsets are for [m].
     offset : ndarray, shape (n + 1, 2)
         Offsets to be added [m].
+    thickness : float, optional
+        Thickness of the sheet [m]; files of earlier versions do not have it.
     """
 
     path_id: str
     material: str
     nominal: Array
     offset: Array
+    thickness: float | None = None
 
-    def mismatch(self, path_id: str, material: str, nominal: Array) -> str:
+    def mismatch(self, path_id: str, material: str, thickness: float, nominal: Array) -> str:
         """Return why the offsets are not for a track, or nothing if they are.
 
         Parameters
         ----------
         path_id, material : str
             Name of the pattern and of its material.
+        thickness : float
+            Thickness of the sheet [m].
         nominal : ndarray, shape (k + 1, 2)
             Nominal points of the track [m].
         """
@@ -64,7 +69,13 @@ class StitchOffsets:
             return f'offsets of the pattern {self.path_id!r}, not of {path_id!r}'
         if material != self.material:
             return f'offsets for the material {self.material!r}, not for {material!r}'
-        return self.other_points(nominal)
+        return self.other_sheet(thickness) or self.other_points(nominal)
+
+    def other_sheet(self, thickness: float) -> str:
+        """Return how the thickness of a sheet [m] differs; nothing if it does not."""
+        if self.thickness is None or abs(thickness - self.thickness) <= SAME_POINT:
+            return ''
+        return f'offsets for a sheet of {1e3 * self.thickness:g} mm, not of {1e3 * thickness:g} mm'
 
     def of_runs(self, runs: Sequence[Array]) -> list[StitchOffsets] | None:
         """Return the offsets of each run of a design, None if they are not for all of them.
@@ -103,6 +114,7 @@ def write_offsets(offsets: StitchOffsets) -> str:
         'version': VERSION,
         'path_id': offsets.path_id,
         'material': offsets.material,
+        **({} if offsets.thickness is None else {'thickness': offsets.thickness}),
         'nominal': offsets.nominal.tolist(),
         'offset': offsets.offset.tolist(),
     }
@@ -138,4 +150,8 @@ def offsets_of(root: Node) -> StitchOffsets:
         root.get('nominal').refuse('two points or more')
     if len(offset) != len(nominal):
         root.get('offset').refuse(f'as many as there are nominal points, {len(nominal)}')
-    return StitchOffsets(path_id.text(), root.get('material').text(), nominal, offset)
+    thickness = None
+    if 'thickness' in root.items():
+        thickness = root.get('thickness').number(SAME_POINT, SHEET_MAX)
+    material = root.get('material').text()
+    return StitchOffsets(path_id.text(), material, nominal, offset, thickness)

@@ -51,9 +51,16 @@ Of 40 that finds 79 % of pairs, the other rule 87 % (seeds 1000 to 1079).
 SURPRISING = 9.0
 """Distance from what that process expects, in its standard deviations, that is an outlier [-].
 
-Chosen on 20 samples of data seeds 0 to 79.  On 20 of seeds 1000 to 1199 it names 0.5 % of honest
-samples, and finds 74 % of single ones that were moved by 3 to 10 mm and 67 % of pairs.  It is as
+Chosen on 20 samples of data seeds 0 to 79.  On 20 of seeds 1000 to 1199 it names 0.2 % of honest
+samples, and finds 70 % of single ones that were moved by 3 to 10 mm and 64 % of pairs.  It is as
 large because a process of so few samples is often wrong about its own standard deviation.
+"""
+
+MEASURED_TO = 0.1
+"""Scatter that samples have at least, however well the others explain them [mm per 50 mm].
+
+A needle's hole in a soft sheet is not seen more exactly.  Without it, samples without noise
+contradict each other by what a smooth model leaves of them.
 """
 
 _SUSPECTS = 4
@@ -311,7 +318,8 @@ def outlying(x: Array, s: Array) -> NDArray[np.bool_]:
     weight = load(*x[:, [1, 3, 4]].T)
     for _ in range(_ROUNDS):
         distance = np.hypot(*_unexplained(x, s, out)[0].T)
-        score = np.min([_scaled(distance, out), _scaled(distance / weight, out)], axis=0)
+        by_load = _scaled(distance / weight, out, MEASURED_TO / float(np.median(weight)))
+        score = np.minimum(_scaled(distance, out, MEASURED_TO), by_load)
         now = score > CONTRADICTING
         if now.mean() > CONTRADICTING_MAX:
             return np.zeros(len(x), bool)
@@ -345,7 +353,7 @@ def _outlying_of_few(x: Array, s: Array) -> NDArray[np.bool_]:
 def _surprise_of(x: Array, s: Array, out: NDArray[np.bool_]) -> Array:
     """Return how far samples are from what the others say, in standard deviations, (k,)."""
     left, deviation = _unexplained(x, s, out)
-    return np.asarray(np.hypot(*(left / deviation).T))
+    return np.asarray(np.hypot(*(left / np.maximum(deviation, MEASURED_TO)).T))
 
 
 def _unexplained(x: Array, s: Array, out: NDArray[np.bool_]) -> tuple[Array, Array]:
@@ -369,6 +377,6 @@ def _unexplained(x: Array, s: Array, out: NDArray[np.bool_]) -> tuple[Array, Arr
     return left, np.sqrt(variance)[:, np.newaxis] * weight
 
 
-def _scaled(distance: Array, out: NDArray[np.bool_]) -> Array:
+def _scaled(distance: Array, out: NDArray[np.bool_], least: float) -> Array:
     """Return distances over their robust standard deviation, of those that are not out."""
-    return np.asarray(distance / max(robust_deviation(distance[~out]), 1e-12))
+    return np.asarray(distance / max(robust_deviation(distance[~out]), least))

@@ -72,13 +72,19 @@ def compensated(
     ------
     ValueError
         If a nominal point lies off the sheet, the foot would go through it, or offsets are of
-        other points.
+        other points or another thickness.
     """
     if isinstance(model, DeformationModel):
         return compensate_path(
             path, material, model.predict, config=config, gate=model, support=model.support
         )
     material.check(path)
+    reason = model.other_sheet(material.thickness)
+    if reason:
+        raise ValueError(
+            f'thickness: expected the sheet that the offsets were learnt on but found {reason}; '
+            'learn the track on this sheet, or train a model'
+        )
     reason = model.other_points(path.points)
     if reason:
         raise ValueError(

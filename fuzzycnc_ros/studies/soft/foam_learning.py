@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -142,7 +142,8 @@ def learn_track(paths: Sequence[RecordedPath], path_id: str | None, gain: float)
         )
     runs = [path for path in paths if path_id is None or path.path_id == path_id]
     first = runs[0]
-    track = StitchOffsets(first.path_id, first.material.name, first.nominal, first.offset)
+    sheet = first.material
+    track = StitchOffsets(first.path_id, sheet.name, first.nominal, first.offset, sheet.thickness)
     for run in runs[1:]:
         _check_same(track, first, run)
     _check_copies(runs)
@@ -155,11 +156,11 @@ def learn_track(paths: Sequence[RecordedPath], path_id: str | None, gain: float)
     after = commanded
     if believed.corrects:
         after = learn_offsets(
-            commanded, first.nominal - believed.deviation, gain=gain, size=first.material.size
+            commanded, first.nominal - believed.deviation, gain=gain, size=sheet.size
         )
     deviation = np.hypot(*(stitched.mean(axis=0) - first.nominal).T)
     return Learnt(
-        StitchOffsets(track.path_id, track.material, track.nominal, after.offset),
+        replace(track, offset=after.offset),
         len(runs),
         float(np.sqrt(np.mean(deviation**2))),
         float(deviation.max()),
@@ -174,16 +175,11 @@ def learn_track(paths: Sequence[RecordedPath], path_id: str | None, gain: float)
 
 def _check_same(track: StitchOffsets, first: RecordedPath, run: RecordedPath) -> None:
     """Refuse a run that does not belong to the first one."""
-    reason = track.mismatch(run.path_id, run.material.name, run.nominal)
-    if not reason:
-        for what, one, other in (
-            ('thickness', first.material.thickness, run.material.thickness),
-            ('feed depth', first.depth, run.depth),
-        ):
-            if np.abs(np.subtract(one, other)).max() > SAME_POINT:
-                low, high = 1e3 * np.max(one), 1e3 * np.max(other)
-                reason = f'a {what} of {low:g} mm, not of {high:g} mm'
-                break
+    sheet = run.material
+    reason = track.mismatch(run.path_id, sheet.name, sheet.thickness, run.nominal)
+    if not reason and np.abs(first.depth - run.depth).max() > SAME_POINT:
+        low, high = 1e3 * first.depth.max(), 1e3 * run.depth.max()
+        reason = f'a feed depth of {low:g} mm, not of {high:g} mm'
     if reason:
         raise ValueError(
             f'{run.source}: expected a run like {first.source} but that has {reason}; learn each '

@@ -16,6 +16,7 @@ from rich.console import Console
 from fuzzycnc_ros.cli.live import graph_processes
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.cli.live.supervision import State, Supervisor
+from fuzzycnc_ros.cli.live.supervision_run import _end
 from fuzzycnc_ros.cli.live.supervision_view import View, row, table
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros import bring_up, processes
@@ -551,3 +552,19 @@ def test_who_writes_a_bag_or_waits_for_one_has_time_to_end(tmp_path, monkeypatch
         graph.stop()
         room.join()
         assert graph.poll() == {'compensator': -9, 'recorder': 0, 'dashboard': 0}
+
+
+def test_nodes_end_along_the_way_of_a_reading():
+    ended = []
+
+    class Graph:
+        names = ('compensator', 'recorder', 'temperature_acquisition', 'simulated_machine')
+
+        def interrupt(self, name):
+            return [name]
+
+        def wait_ended(self, names):
+            ended.extend(names)
+
+    _end([Graph()])
+    assert ended == ['simulated_machine', 'temperature_acquisition', 'compensator', 'recorder']

@@ -5,6 +5,7 @@
 import numpy as np
 import pytest
 
+from fuzzycnc_ros.cli.live.watch import _settle
 from fuzzycnc_ros.cli.live.watch_screen import HEIGHT, WIDTH, screen
 from fuzzycnc_ros.components.dashboard.machine_view import MachineView
 from fuzzycnc_ros.runtime.component import Health, Level
@@ -122,3 +123,32 @@ def test_it_tells_when_the_next_probe_is_due_and_why(view):
     assert 'probing cycle: a chip' in text
     text = screen({**document, 'probing': {**told, 'due': False, 'due_in': 5400.0}}, WIDTH, 200)
     assert 'next probe due in about' in text.plain
+
+
+def test_one_screen_waits_for_a_compensator_that_is_found_late():
+    view = MachineView('mill')
+    told = Temperatures(
+        stamp=SECOND, sensor=('t',), temperature=np.full(1, 20.0), status=np.zeros(1, np.uint8)
+    )
+    view.take('temperatures', told, 0.0)
+    view.take_health('thermal_predictor', [Health('prediction', Level.OK, '', {})], 0.0)
+    assert view.complete
+
+    class Graph:
+        def __init__(self):
+            self.waited = 0
+
+        def pause(self, duration):
+            self.waited += 1
+
+        def look(self):
+            if self.waited == 3:
+                view.take_health('compensator', [Health('state', Level.OK, '', {})], 0.0)
+
+        def read(self):
+            pass
+
+    graph = Graph()
+    _settle(graph, graph, view)
+    assert graph.waited == 3
+    assert view.document(0.0)['state']['compensation'] == 'inactive'

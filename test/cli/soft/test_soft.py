@@ -279,7 +279,7 @@ def test_samples_that_contradict_the_others_are_named(fuzzycnc, tmp_path, sample
         ([Run(), Run(path_id='circle')], (), ['circle, track', 'choose one path']),
         ([Run()], ('--path', 'circle'), ['path: expected', "'circle'", 'track']),
         ([Run(), Run(name='felt')], (), ["'foam'", "'felt'", 'track at 21.000 s']),
-        ([Run(), Run(thickness=20e-3)], (), ['thickness of 15 mm, not of 20 mm']),
+        ([Run(), Run(thickness=20e-3)], (), ['offsets for a sheet of 15 mm, not of 20 mm']),
         ([Run(), Run(depth=5e-3)], (), ['feed depth of 6 mm, not of 5 mm']),
         ([Run(), Run(nominal=TRACK.points + 1e-4)], (), ['other points', 'um']),
         ([Run(), Run(offset=np.full((81, 2), 1e-3))], (), ['by up to 1.000 mm', 'last cycle']),

@@ -53,7 +53,7 @@ def learnt(tmp_path):
     """Offsets of the track, as `soft learn` writes them."""
     angle = np.linspace(0.0, np.pi, len(TRACK.points))
     offset = 1e-3 * np.column_stack([np.sin(angle), np.sin(2.0 * angle)])
-    found = StitchOffsets('track', 'foam', TRACK.points, offset)
+    found = StitchOffsets('track', 'foam', TRACK.points, offset, 15e-3)
     (tmp_path / 'model.json').write_text(write_offsets(found))
     return found
 
@@ -70,6 +70,14 @@ def test_learnt_offsets_are_taken_for_the_track_that_they_are_of(
     ends = np.array([s.end[:2] for s in read_program((tmp_path / 'out.ngc').read_text()).segments])
     wanted = TRACK.points[1:] + learnt.offset[1:]
     np.testing.assert_allclose(ends[3 : 3 + len(wanted)], wanted, atol=1e-6)
+
+
+def test_learnt_offsets_are_of_one_thickness(fuzzycnc, tmp_path, learnt, program):
+    sheet = ['20mm' if text == '15mm' else text for text in SHEET]
+    outcome = fuzzycnc('foam', 'compensate', 'quilt.ngc', *sheet, '--out', 'out.ngc')
+    assert outcome.code == 2
+    assert 'offsets for a sheet of 15 mm, not of 20 mm' in ' '.join(outcome.err.split())
+    assert not (tmp_path / 'out.ngc').exists()
 
 
 def test_learnt_offsets_are_taken_for_a_list_of_stitches(fuzzycnc, tmp_path, learnt):

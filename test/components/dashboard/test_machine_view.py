@@ -234,7 +234,7 @@ def test_bad_and_substituted_sensors_are_named_with_their_cause():
         'no reading',
         'drifts away from its mates',
     ]
-    assert sensors['clusters'] == [{'chosen': 't2', 'members': ['t1', 't2']}]
+    assert sensors['clusters'] == [{'chosen': 't2', 'members': ['t2', 't1']}]
     view.take('temperatures', poor, 2.0)
     flagged = view.history['temperatures'].rows(0.0, 1e12, 10)
     assert flagged.flag.any(axis=0).tolist() == [False, True, True]
@@ -247,7 +247,7 @@ def test_clusters_are_those_of_the_model_in_use_though_no_selection_is_published
     model = json.dumps({'selection': {'clusters': clusters}})
     view.take_configuration(configuration('thermal_predictor', model_hash='h', model=model))
     assert document(view)['sensors']['clusters'] == [
-        {'chosen': 't2', 'members': ['t1', 't2']},
+        {'chosen': 't2', 'members': ['t2', 't1']},
         {'chosen': 't3', 'members': ['t3']},
     ]
 

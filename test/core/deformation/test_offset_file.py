@@ -1,6 +1,7 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from fuzzycnc_ros.core.deformation.offset_file import (
 from fuzzycnc_ros.core.document import ModelFileError
 
 NOMINAL = np.array([[0.0, 0.0], [3e-3, 0.0], [6e-3, 1e-3]])
-OFFSETS = StitchOffsets('square', 'foam', NOMINAL, 0.1 * NOMINAL)
+OFFSETS = StitchOffsets('square', 'foam', NOMINAL, 0.1 * NOMINAL, 15e-3)
 
 
 @given(st.lists(st.tuples(*[st.floats(-1.0, 1.0)] * 4), min_size=2, max_size=5))
@@ -65,11 +66,16 @@ def test_text_that_is_no_document_is_refused(text, message):
 
 
 def test_offsets_are_for_one_track_on_one_material():
-    assert OFFSETS.mismatch('square', 'foam', NOMINAL + 0.7e-6) == ''
-    assert "pattern 'square', not of 'circle'" in OFFSETS.mismatch('circle', 'foam', NOMINAL)
-    assert "material 'foam', not for 'felt'" in OFFSETS.mismatch('square', 'felt', NOMINAL)
-    assert '3 points, not of 2' in OFFSETS.mismatch('square', 'foam', NOMINAL[:2])
+    assert OFFSETS.mismatch('square', 'foam', 15e-3 + 1e-7, NOMINAL + 0.7e-6) == ''
+    assert "pattern 'square', not of 'circle'" in OFFSETS.mismatch(
+        'circle', 'foam', 15e-3, NOMINAL
+    )
+    assert "material 'foam', not for 'felt'" in OFFSETS.mismatch('square', 'felt', 15e-3, NOMINAL)
+    assert '3 points, not of 2' in OFFSETS.mismatch('square', 'foam', 15e-3, NOMINAL[:2])
+    assert 'sheet of 15 mm, not of 20 mm' in OFFSETS.mismatch('square', 'foam', 20e-3, NOMINAL)
+    earlier = replace(OFFSETS, thickness=None)
+    assert read_offsets(write_offsets(earlier)).mismatch('square', 'foam', 20e-3, NOMINAL) == ''
     moved = NOMINAL.copy()
     moved[1, 1] += 5e-6
-    assert 'number 1 lies 5 um' in OFFSETS.mismatch('square', 'foam', moved)
-    assert 'other points' in OFFSETS.mismatch('square', 'foam', NOMINAL * np.nan)
+    assert 'number 1 lies 5 um' in OFFSETS.mismatch('square', 'foam', 15e-3, moved)
+    assert 'other points' in OFFSETS.mismatch('square', 'foam', 15e-3, NOMINAL * np.nan)

@@ -103,6 +103,13 @@ def test_honest_samples_are_hardly_ever_outliers():
         assert outlying(*foam_samples(seed)).sum() <= 2
 
 
+@pytest.mark.parametrize(('seed', 'count'), [(40, 20), (56, 60)])
+def test_samples_without_noise_do_not_contradict_each_other(seed, count):
+    x = foam_samples(seed).x
+    x = x[np.random.default_rng(seed).permutation(len(x))[:count]]
+    assert not outlying(x, true_compensation(x)).any()
+
+
 def test_contradicting_samples_have_no_outliers(data):
     s = data.s.copy()
     s[::3] = -s[::3]
