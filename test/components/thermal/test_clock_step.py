@@ -27,7 +27,7 @@ from fuzzycnc_ros.components.thermal.temperature_acquisition import (
     TemperatureAcquisitionConfig,
 )
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
-from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState, Reason
+from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState, Reason, Status
 from fuzzycnc_ros.runtime.records import SECOND, SensorSelection, nanoseconds
 
 HOUR = 3600.0
@@ -152,6 +152,21 @@ def test_predictor_of_another_reference_says_that_its_history_is_lost():
     bench.push('thermal_reference', later(other, -HOUR))
     error = bench.give('temperatures', later(sample_of(run, 90), -HOUR))[-1].record
     assert (error.valid, error.reason) == (False, Reason.STATE_LOST)
+
+
+def test_a_state_of_the_reference_before_is_not_carried_over_a_step():
+    run, bench = recordings()['T2'], bench_with_model()
+    predict(bench, run, range(90))
+    sample = sample_of(run, 90)
+    second = replace(reference_of(run), stamp=sample.stamp, temperature=sample.temperature)
+    bench.push('thermal_reference', second)
+    # It is heard, but nothing is predicted from it yet: all sensors are lost.
+    bench.give('temperatures', replace(sample, status=np.full_like(sample.status, Status.MISSING)))
+    bench.clock_step(-HOUR, START + run.time[90] - HOUR)
+    bench.push('thermal_reference', later(second, -HOUR))
+    emitted = bench.give('temperatures', later(sample_of(run, 91), -HOUR))
+    (error,) = (item.record for item in emitted if item.output == 'thermal_error')
+    np.testing.assert_allclose(error.error, 0.0, atol=MICRON)
 
 
 def test_reference_from_the_future_is_void():
