@@ -276,6 +276,8 @@ class Warmth(MillInstruments):
             axis=self.axes,
             offset=self.offsets.applied,
             at_limit=self.offsets.at_limit,
+            slope=self.offsets.slope,
+            position=self.offsets.position,
         )
         return Emission('compensation_applied', applied)
 

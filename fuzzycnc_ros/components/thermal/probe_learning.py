@@ -181,14 +181,20 @@ class ProbeLearning:
 
     def _take(self, probe: Probe, stamp: Stamp, predicted: Floats) -> None:
         assert self._learner is not None
-        measured, noise, offset = probe.of_channels(self._model.channel, self._model.axis)
         expected = self._at(probe.stamp, stamp, predicted)
-        if expected is None or not np.isfinite(measured).any():
-            why = 'nothing was predicted' if expected is None else 'its channels are not predicted'
-            self._doubt = f'probe at {probe.stamp / SECOND:.3f} s is not used: {why}'
+        before, deviation = self._learner.predict()
+        why = 'nothing was predicted' if expected is None else 'its channels are not predicted'
+        unused = f'probe at {probe.stamp / SECOND:.3f} s is not used: {why}'
+        if expected is None:
+            self._doubt = unused
+            return
+        measured, noise, offset = probe.of_channels(
+            self._model.channel, self._model.axis, expected + before, deviation
+        )
+        if not np.isfinite(measured).any():
+            self._doubt = unused
             return
         self._before.append(self._known())
-        before, deviation = self._learner.predict()
         measured = self._trusted(measured, measured - expected - before, noise, deviation, offset)
         verdicts = self._learner.probe(measured - expected, noise, (stamp - probe.stamp) / SECOND)
         self._come_into_force(before)

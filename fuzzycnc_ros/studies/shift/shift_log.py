@@ -14,6 +14,7 @@ from fuzzycnc_ros.components.thermal.predictor_stream import speed_told, speeds_
 from fuzzycnc_ros.components.thermal.sensor_substitution import RiseSource
 from fuzzycnc_ros.core.thermal.candidate import DEFAULT, UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.model import ThermalModel
+from fuzzycnc_ros.core.thermal.places import along_axes
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
 from fuzzycnc_ros.core.thermal.sensor_limits import JUDGED
 from fuzzycnc_ros.runtime.enums import Status
@@ -80,14 +81,20 @@ class ShiftLog(RecordLog):
                 f'run {name!r}: expected temperatures and displacements but found '
                 f'{len(samples)} and {len(moved)} messages'
             )
+        time = np.array([item.stamp - samples[0].stamp for item in samples]) / SECOND
+        measured = _at_stamps(samples, moved, 'displacement', len(moved[0].channel))
+        first = moved[0]
+        axis, channel, along = along_axes(
+            time, first.axis, first.channel, first.position, measured
+        )
         return ThermalRun(
             name=name,
-            time=np.array([item.stamp - samples[0].stamp for item in samples]) / SECOND,
+            time=time,
             sensor=samples[0].sensor,
             temperature=_temperature(samples),
-            channel=moved[0].channel,
-            axis=moved[0].axis,
-            displacement=_at_stamps(samples, moved, 'displacement', len(moved[0].channel)),
+            channel=channel,
+            axis=axis,
+            displacement=along,
             spindle_speed=self.spindle_speed(samples, start, stop),
             limits=JUDGED,
         )

@@ -200,7 +200,8 @@ class _Track:
             self.predicted[HELD][row] = held
             self._learn(row, stamp, probes)
             for probe in probes:
-                error, _, _ = probe.of_channels(self._channel, self._axis)
+                nothing = np.zeros(len(held))
+                error, _, _ = probe.of_channels(self._channel, self._axis, nothing, nothing + 1.0)
                 held = np.where(np.isfinite(error), error, held)
                 self.probes += np.isfinite(error)
 
