@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.bags.errors import BagDataError, BagTopicError, RunError
 from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.components.thermal.predictor_stream import TOPICS, speed_told, speeds_at
+from fuzzycnc_ros.components.thermal.control_drives import drives_at, drives_told
+from fuzzycnc_ros.components.thermal.predictor_stream import STATE, TOPICS, speed_told, speeds_at
 from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.core.thermal.places import along_axes, place_channels
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun, counted
@@ -122,10 +123,13 @@ def read_run(
         temperature = Samples(source, topic, ('sensor',), 'sensor')
         moving = Displacements(source, other)
         told: list[tuple[str, int, float]] = []
+        driven: list[tuple[int, dict[str, float], dict[str, float]]] = []
         for kind, _, _, message in reader.messages([topic, other, *sources]):  # one pass
             if kind in sources:
                 teller = sources[kind]
                 told.append((teller, _stamp(message), speed_told(teller, message)))
+                if teller == STATE and (drives := drives_told(message)) is not None:
+                    driven.append((_stamp(message), *drives))
             elif kind == topic:
                 temperature.add(message, message.temperature, message.status == _STATUS_OK)
             else:
@@ -181,6 +185,7 @@ def read_run(
             axis=axis,
             displacement=joined[used],
             spindle_speed=None if speed is None else speed[used],
+            drives={name: v[used] for name, v in drives_at(measured.stamp, driven).items()},
             limits=SensorLimits.of(sensor_limits),
         )
         return counted(run, start, stop)

@@ -238,6 +238,26 @@ def test_spindle_speed_of_the_controller_has_precedence(make_bag, new):
     assert set(run.spindle_speed) == {5.0}
 
 
+def test_motion_load_and_coolant_are_means_since_the_sample_before(make_bag, new):
+    target, told = Target(message_type, numpy_arrays=True), []
+    for k in range(40):
+        record = machine_state(
+            k + 1,
+            axis=('X', 'Y'),
+            position=np.zeros(2),
+            travel=np.array([0.25 * k, np.nan]),
+            square_speed=np.array([0.5 * k, np.nan]),
+            spindle_load=0.75,
+            coolant=2,
+        )
+        told.append(('/mill/machine_state', encode(record, target), (k + 1) * SECOND))
+    run = read_run(make_bag(run_messages(new) + told), start=5.0)
+    assert sorted(run.drives) == ['axis_speed/X', 'axis_square_speed/X', 'coolant', 'spindle_load']
+    for name, value in zip(sorted(run.drives), (0.25, 0.5, 1.0, 0.75), strict=True):
+        np.testing.assert_allclose(run.drives[name][1:], value, rtol=1e-12)
+    assert read_run(make_bag(run_messages(new), name='none')).drives == {}
+
+
 def test_unknown_speed_and_that_of_another_machine_are_none(make_bag, new):
     speeds = speed_messages(machine_state=lambda k: np.nan, spindle_speed=lambda k: np.nan)
     other = [('/lathe/spindle_speed', *item[1:]) for item in speed_messages(spindle_speed=float)]

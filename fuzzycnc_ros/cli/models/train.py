@@ -178,6 +178,9 @@ def train(
     for sentence in choice_remarks(trained):
         remark(sentence)
     say(f'spindle speed: {speed_text(trained)}')
+    if trained.drives_max:
+        drives = ', '.join(trained.drives_max)
+        say(f'told by the control: {drives} used; they have to come with machine_state')
     say(f'{out}: written, hash {trained.hash[:16]}')
     write_json(
         json_file,
@@ -250,7 +253,10 @@ def speed_text(model: 'ThermalModel') -> str:
     """Return whether the spindle speed is used."""
     if model.needs_speed:
         return 'used; it has to come with machine_state or on spindle_speed'
-    return 'known, but not used by the model in use' if model.drivers else 'not used'
+    from fuzzycnc_ros.core.thermal.run import SPINDLE_SPEED
+
+    known = SPINDLE_SPEED in model.drivers
+    return 'known, but not used by the model in use' if known else 'not used'
 
 
 def _document(model: 'ThermalModel', path: Path, digest: str) -> dict[str, Any]:

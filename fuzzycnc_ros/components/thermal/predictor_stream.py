@@ -13,14 +13,15 @@ the last one that was.
 """
 
 from collections import deque
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from math import pi
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.components.thermal.control_drives import ControlDrives
 from fuzzycnc_ros.components.thermal.kept_samples import KeptSamples
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.thermal.blank import blank_model
@@ -401,11 +402,14 @@ class Heard:
         Size of the spindle speed [rad/s]; NaN if it is not known.
     probes : tuple of Probe
         Probes since the sample before.
+    drives : mapping of str to float
+        What else the control told of heat, its means since the sample before; see `ThermalRun`.
     """
 
     sample: Temperatures
     spindle_speed: float = np.nan
     probes: tuple[Probe, ...] = ()
+    drives: Mapping[str, float] = field(default_factory=dict)
 
 
 class PredictorStream:
@@ -434,6 +438,8 @@ class PredictorStream:
         What is missing to learn from nothing.
     speeds : SpeedSources
         What was told of the spindle.
+    drives : ControlDrives
+        What else the control told.
     probes : ProbeSource or None
         Probes that wait for a sample; None where they have no effect.
     """
@@ -445,7 +451,7 @@ class PredictorStream:
         self.memory: ThermalPosterior | None = None
         self.selection: SensorSelection | None = None
         self.awaited = 'waiting for temperatures'
-        self.speeds = SpeedSources()
+        self.speeds, self.drives = SpeedSources(), ControlDrives()
         self.probes = ProbeSource(config) if config.learn else None
         self._heard = KeptSamples[Heard](lambda heard: heard.sample)
         self._former: ThermalReference | None = None
@@ -504,6 +510,7 @@ class PredictorStream:
             sample,
             abs(told.speed) if told is not None and known else np.nan,
             self.probes.take(stamp, since) if self.probes is not None else (),
+            self.drives.take(stamp),
         )
         self._heard.add(heard)
         # One sample from before that time proves that the history is long enough.

@@ -20,6 +20,7 @@ from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.core.thermal.blank import LABEL
 from fuzzycnc_ros.core.thermal.domain import DOMAIN_MARGIN, SPEED_MARGIN
 from fuzzycnc_ros.core.thermal.model import ThermalModel
+from fuzzycnc_ros.core.thermal.run import GAP_MAX
 from fuzzycnc_ros.core.thermal.sensor_watch import SensorWatch
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.enums import Reason, Status
@@ -184,7 +185,7 @@ class ModelHistory:
             label=self.label,
             error=error,
             deviation=deviation,
-            outside=self._outside(heard.spindle_speed),
+            outside=self._outside(heard),
             substituted=self._source.substituted,
             substitute=self._source.substitute,
         )
@@ -406,16 +407,31 @@ class ModelHistory:
                 f'has told one for more than gap_max = {self.config.gap_max:g} s',
             )
             return None
+        lost = [name for name in self._drive_limits if name not in heard.drives]
+        if lost:
+            self.refuse(
+                Reason.SENSOR_LOST,
+                f'the model reads {", ".join(lost)}, which machine_state has not told for more '
+                f'than {GAP_MAX:g} s',
+            )
+            return None
         # Whether such a speed is real or not, its heat in the state would outlast it by hours.
         speed = min(heard.spindle_speed, self._speed_limit)
-        return np.concatenate([rise, self.model.drive(speed)])
+        drives = {name: min(heard.drives[name], top) for name, top in self._drive_limits.items()}
+        return np.concatenate([rise, self.model.drive(speed, drives)])
 
     @property
     def _speed_limit(self) -> float:
         """Largest spindle speed that is in domain [rad/s]."""
         return SPEED_MARGIN * self.model.speed_max
 
-    def _outside(self, spindle_speed: float) -> str:
+    @property
+    def _drive_limits(self) -> dict[str, float]:
+        """Largest of each drive that is in domain; as with the speed, in squares."""
+        most = SPEED_MARGIN * SPEED_MARGIN
+        return {name: most * largest for name, largest in self.model.drives_max.items()}
+
+    def _outside(self, heard: Heard) -> str:
         """Say why the newest sample is out of domain, '' if it is not."""
         assert self._vector is not None
         distance = float(self.model.distance(self._vector[: len(self.model.inputs)]))
@@ -429,10 +445,16 @@ class ModelHistory:
                 f'temperatures are {distance:.1f} times as far away as the training data reach, '
                 f'where {DOMAIN_MARGIN:g} times is the most; train with such temperatures'
             )
-        if spindle_speed > self._speed_limit:
+        beyond = [name for name, top in self._drive_limits.items() if heard.drives[name] > top]
+        if beyond:
             return (
-                f'spindle speed {spindle_speed:.4g} rad/s is beyond {SPEED_MARGIN:g} times the '
-                f'largest trained, {self.model.speed_max:.4g} rad/s; train with it, or see '
+                f'{", ".join(beyond)} beyond {SPEED_MARGIN * SPEED_MARGIN:.2g} times the largest '
+                'trained; train with it, or see whether it is true'
+            )
+        if heard.spindle_speed > self._speed_limit:
+            return (
+                f'spindle speed {heard.spindle_speed:.4g} rad/s is beyond {SPEED_MARGIN:g} times '
+                f'the largest trained, {self.model.speed_max:.4g} rad/s; train with it, or see '
                 'whether it is true'
             )
         return ''

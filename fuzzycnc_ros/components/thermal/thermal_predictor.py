@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from fuzzycnc_ros.components.thermal.control_drives import drives_told
 from fuzzycnc_ros.components.thermal.fade import Fade
 from fuzzycnc_ros.components.thermal.predictor_stream import (
     OWN,
@@ -393,8 +394,10 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
             self._swap.begin()
 
     def on_machine_state(self, state: MachineState) -> None:
-        """Note the spindle speed that the controller reports."""
+        """Note the spindle speed that the controller reports, and what else it tells of heat."""
         self._stream.speeds.note(STATE, state.stamp, speed_told(STATE, state))
+        if (told := drives_told(state)) is not None:
+            self._stream.drives.note(state.stamp, *told)
 
     def on_spindle_speed(self, speed: SpindleSpeed) -> None:
         """Note the spindle speed that a source of its own tells."""

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.thermal.run import SPINDLE_SPEED
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal.recursions.base import Recursion
@@ -22,6 +23,7 @@ BASELINES = ('least_squares', 'static_ridge', 'lag_ridge')
 CANDIDATES = (
     *BASELINES,
     'lag_ridge_speed',
+    'lag_ridge_drives',
     'classical_grey',
     'stable_grey',
     'anfis',
@@ -54,10 +56,22 @@ STANDARD = (
     'grey_anfis',
     'hybrid_network',
 )
-"""Candidates that training fits unless told otherwise."""
+"""Candidates that training fits unless told otherwise; `lag_ridge_drives` beside `lag_ridge`."""
 
 SPEED_SUFFIX = '_speed'
 """What the name of a candidate that reads the spindle speed ends in."""
+
+DRIVES_SUFFIX = '_drives'
+"""What the name of one ends in that reads all that the control tells."""
+
+
+def drivers_read(name: str, drivers: tuple[str, ...]) -> tuple[str, ...]:
+    """Return which of the drivers at hand a candidate reads; none if one that it needs lacks."""
+    speed = drivers[: drivers[:1] == (SPINDLE_SPEED,)]
+    if name.endswith(DRIVES_SUFFIX):
+        return drivers if drivers != speed else ()
+    return speed if name.endswith(SPEED_SUFFIX) else ()
+
 
 Settings = dict[str, float | str | tuple[float, ...]]
 """Settings of a candidate that were chosen on held-out samples."""

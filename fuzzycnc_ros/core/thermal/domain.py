@@ -114,7 +114,7 @@ class Domain:
             return np.asarray(distance)
         # A driver that was only ever noise says nothing of what it was trained on.
         trained_on = np.where(self.drive > LENGTH_MIN, self.drive, np.inf)
-        ratio = samples[..., inputs:] / trained_on
+        ratio = samples[..., inputs:] / trained_on[: samples.shape[-1] - inputs]
         return np.asarray(np.maximum(distance, ratio.max(axis=-1)))
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import inf, isfinite
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -22,10 +23,10 @@ from fuzzycnc_ros.core.thermal.band import Band
 from fuzzycnc_ros.core.thermal.candidate import (
     CANDIDATES,
     COMPARED_ONLY,
-    SPEED_SUFFIX,
     UNCOMPENSATED,
     Candidate,
     Settings,
+    drivers_read,
 )
 from fuzzycnc_ros.core.thermal.cold_start import ColdStart
 from fuzzycnc_ros.core.thermal.domain import Domain
@@ -45,13 +46,15 @@ from fuzzycnc_ros.core.thermal.recursions.base import (
     write_recursion,
 )
 from fuzzycnc_ros.core.thermal.run import (
+    DRIVE_NAME,
+    DRIVE_NAMES,
     JITTER_MAX,
     SPINDLE_SPEED,
     ThermalRun,
     drive_of,
     driven_speed,
+    driver_known,
     speed_drive,
-    speed_known,
 )
 from fuzzycnc_ros.core.thermal.sensor_watch import SensorCluster, SensorSelection, SensorWatchModel
 
@@ -88,8 +91,8 @@ class ThermalModel:
     band : Band
         How far the default may be off, from samples that neither fit nor choice had seen.
     drivers : tuple of str, length d
-        What the candidates may read behind the rises: the driver of the spindle speed, or
-        nothing where it was not recorded.
+        What the candidates may read behind the rises, see `drivers_of`: the driver of the
+        spindle speed comes first, where it was recorded.
     bound : ndarray, shape (c,), optional
         Largest absolute error that the default may predict [m]; absent in old files, where it
         has no bound.
@@ -230,40 +233,63 @@ class ThermalModel:
     @property
     def needs_speed(self) -> bool:
         """Whether the default reads the spindle speed."""
-        return any(name.endswith(SPEED_SUFFIX) for name in self.default)
+        return SPINDLE_SPEED in self.drivers_of()
+
+    def drivers_of(self, candidate: str | None = None) -> tuple[str, ...]:
+        """Return the drivers that a candidate, or the default, reads; they come first."""
+        names = self.default if candidate is None else (candidate,)
+        return max((drivers_read(name, self.drivers) for name in names), key=len)
 
     @property
     def speed_max(self) -> float:
         """Largest spindle speed that it was trained on [rad/s]; infinite if it reads none."""
         if not self.needs_speed or not len(self.domain.drive):
             return np.inf
-        return float(driven_speed(self.domain.drive.max()))
+        return float(driven_speed(self.domain.drive[0]))
 
-    def drive(self, spindle_speed: float, candidate: str | None = None) -> Array:
+    @property
+    def drives_max(self) -> dict[str, float]:
+        """Largest of each drive that the default reads, beside the speed, in its training."""
+        read = zip(self.drivers_of(), self.domain.drive.tolist(), strict=False)
+        return {name: largest for name, largest in read if name != SPINDLE_SPEED}
+
+    def drive(
+        self,
+        spindle_speed: float,
+        drives: Mapping[str, float] = MappingProxyType({}),
+        candidate: str | None = None,
+    ) -> Array:
         """Return what stands behind the rises in a sample, shape (d,) [-].
 
         Parameters
         ----------
         spindle_speed : float
             Spindle speed [rad/s]; not looked at unless it is needed.
+        drives : mapping of str to float
+            What else the control tells, see `ThermalRun`; likewise.
         candidate : str, optional
             Candidate that is stepped; the default if absent.
         """
-        needed = self.needs_speed if candidate is None else candidate.endswith(SPEED_SUFFIX)
-        if not needed:
-            return np.zeros(len(self.drivers))
-        return np.full(len(self.drivers), speed_drive(np.array(spindle_speed)))
+        found = np.zeros(len(self.drivers))
+        for number, name in enumerate(self.drivers_of(candidate)):
+            is_speed = name == SPINDLE_SPEED
+            found[number] = speed_drive(np.array(spindle_speed)) if is_speed else drives[name]
+        return found
 
     def drives(self, run: ThermalRun) -> Array:
         """Return what stands behind the rises of a run, shape (n, d) [-]; zeros if unknown."""
-        if not speed_known(run):
-            return np.zeros((len(run.time), len(self.drivers)))
-        return drive_of(run, self.drivers)
+        found = np.zeros((len(run.time), len(self.drivers)))
+        for column, name in zip(found.T, self.drivers, strict=True):
+            if driver_known(run, name):
+                column[:] = drive_of(run, (name,))[:, 0]
+        return found
 
     def candidates_on(self, run: ThermalRun) -> tuple[str, ...]:
         """Return the candidates that find all they read in a run."""
         return tuple(
-            name for name in self.candidates if not name.endswith(SPEED_SUFFIX) or speed_known(run)
+            name
+            for name in self.candidates
+            if all(driver_known(run, driver) for driver in self.drivers_of(name))
         )
 
     def check_stream(self, sensors: Sequence[str], interval: float) -> None:
@@ -355,21 +381,21 @@ class ThermalModel:
             If a rise is NaN: a failed sensor needs its substitute first.
         """
         recursion = self.recursion(candidate)
-        if candidate is not None and candidate.endswith(SPEED_SUFFIX):
-            if isinstance(source, ThermalRun):
-                drive_of(source, self.drivers)  # refuses a run without the speed
+        if candidate is not None and isinstance(source, ThermalRun):
+            drive_of(source, self.drivers_of(candidate))  # refuses a run without one of them
         return recursion.run(self.rises(source))
 
     def rises(self, source: ThermalRun | ArrayLike) -> Array:
         """Return the samples of a run, shape (n, p + d), checked as `predict` says.
 
-        Rises [K] come first, then the drivers [-]; zeros where the run does not have the spindle
-        speed in every sample and the default needs none.
+        Rises [K] come first, then the drivers [-]; zeros of one that the run does not have in
+        every sample and the default does not need.
         """
         width = len(self.inputs) + len(self.drivers)
         if isinstance(source, ThermalRun):
             self.check_stream(source.sensor, source.interval)
-            drive = drive_of(source, self.drivers) if self.needs_speed else self.drives(source)
+            drive_of(source, self.drivers_of())  # refuses a run without one of them
+            drive = self.drives(source)
             rise = np.hstack([source.rise()[:, source.columns(self.inputs)], drive])
         else:
             rise = np.asarray(source, dtype=np.float64)
@@ -395,8 +421,7 @@ class ThermalModel:
         only where the default reads it, so that a run and a stream give the same.
         """
         samples = np.asarray(rise, dtype=np.float64)
-        if not self.needs_speed:
-            samples = samples[..., : len(self.inputs)]
+        samples = samples[..., : len(self.inputs) + len(self.drivers_of())]
         return self.domain.distance(samples)
 
     def in_domain(self, rise: ArrayLike) -> NDArray[np.bool_]:
@@ -467,9 +492,11 @@ def _check_parts(model: 'ThermalModel') -> None:
             f'selection: expected the inputs {", ".join(model.inputs)} as chosen sensors, but '
             f'found {", ".join(model.selection.chosen)}'
         )
-    if model.drivers not in ((), (SPINDLE_SPEED,)):
+    drives = model.drivers[model.drivers[:1] == (SPINDLE_SPEED,) :]
+    if len(set(drives)) < len(drives) or not all(map(DRIVE_NAME.fullmatch, drives)):
         raise ValueError(
-            f'drivers: expected none or {SPINDLE_SPEED}, but found {", ".join(model.drivers)}'
+            f'drivers: expected {SPINDLE_SPEED} before {DRIVE_NAMES}, each once, but found '
+            f'{", ".join(model.drivers)}'
         )
     if model.domain.drive.shape != (len(model.drivers),):
         raise ValueError(

@@ -7,10 +7,11 @@ reference: temperatures and displacements stay referred to the first samples of 
 and what lies before the window warms up the lags, as it did on the machine.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from math import ceil, floor, pi
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -158,6 +159,13 @@ RISE_RATE_MAX = 10.0
 SPINDLE_SPEED_MAX = 20000.0
 """Largest plausible spindle speed [rad/s], 190,000 rpm; beyond it units were mixed up."""
 
+DRIVE_NAMES = 'axis_speed/X, axis_square_speed/X (with any axis), spindle_load or coolant'
+DRIVE_NAME = re.compile('axis_(square_)?speed/.+|spindle_load|coolant')
+"""Names of what else than the spindle speed a control tells of heat."""
+
+DRIVE_MAX = 1000.0
+"""Largest plausible value of it, in its own unit: an axis at 30 m/s, 1000 times the rated load."""
+
 RISE_MIN = 0.5
 """Smallest range of a rise that teaches anything [K]; below it there is only noise."""
 
@@ -227,6 +235,10 @@ class ThermalRun:
         Thermal error, actual minus nominal [m]; NaN where nothing was probed.
     spindle_speed : array_like, shape (n,), optional
         Measured spindle speed [rad/s]; NaN where unknown, absent where it was not recorded.
+    drives : mapping of str to array_like, shape (n,)
+        What else the control told of heat, each a mean since the sample before: `axis_speed/X`
+        [m/s], `axis_square_speed/X` [m2/s2], `spindle_load` [-], `coolant` [share of the time];
+        NaN where unknown.
     limits : SensorLimits
         Ranges and rates of sensors that are not those of a machine's metal.
 
@@ -250,16 +262,19 @@ class ThermalRun:
     axis: tuple[str, ...]
     displacement: NDArray[np.float64]
     spindle_speed: NDArray[np.float64] | None = None
+    drives: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     limits: SensorLimits = USUAL
 
     def __post_init__(self) -> None:
         """Take read-only copies and check them."""
-        for field in ('sensor', 'channel', 'axis'):
-            object.__setattr__(self, field, tuple(str(item) for item in getattr(self, field)))
-        for field in ('time', 'temperature', 'displacement'):
-            object.__setattr__(self, field, _read_only(getattr(self, field)))
+        for name in ('sensor', 'channel', 'axis'):
+            object.__setattr__(self, name, tuple(str(item) for item in getattr(self, name)))
+        for name in ('time', 'temperature', 'displacement'):
+            object.__setattr__(self, name, _read_only(getattr(self, name)))
         if self.spindle_speed is not None:
             object.__setattr__(self, 'spindle_speed', _read_only(self.spindle_speed))
+        drives = {name: _read_only(values) for name, values in self.drives.items()}
+        object.__setattr__(self, 'drives', drives)
         _check_shapes(self)
         _check_names(self)
         _check_time(self)
@@ -386,6 +401,7 @@ class ThermalRun:
         columns = [self.temperature, self.displacement]
         if self.spindle_speed is not None:
             columns.append(self.spindle_speed[:, np.newaxis])
+        columns += [values[:, np.newaxis] for values in self.drives.values()]
         even = _even_blocks(self.time, np.hstack(columns), interval, JITTER_MAX)
         if even is None:
             return self
@@ -396,7 +412,8 @@ class ThermalRun:
                 f'{len(time)} blocks of {interval:g} s; choose a shorter interval or record longer'
             )
         sensors, channels = len(self.sensor), len(self.channel)
-        temperature, displacement, speed = np.split(values, [sensors, sensors + channels], axis=2)
+        ends = np.cumsum([sensors, channels, self.spindle_speed is not None])
+        temperature, displacement, speed, drives = np.split(values, ends, axis=2)
         return replace(
             self,
             time=time,
@@ -406,6 +423,7 @@ class ThermalRun:
             if self.spindle_speed is None
             # Heat goes with the square of the speed, and so must its mean.
             else np.sqrt(mean_of_measured(speed * speed, 1))[:, 0],
+            drives=dict(zip(self.drives, mean_of_measured(drives, 1).T, strict=True)),
         )
 
     def bridged(self) -> 'ThermalRun':
@@ -477,6 +495,7 @@ class ThermalRun:
             temperature=self.temperature[inside],
             displacement=self.displacement[inside],
             spindle_speed=None if self.spindle_speed is None else self.spindle_speed[inside],
+            drives=_rows_of(self, inside),
         )
 
     def inside(self, start: float | None = None, stop: float | None = None) -> NDArray[np.bool_]:
@@ -497,6 +516,10 @@ def _read_only(values: ArrayLike) -> NDArray[np.float64]:
     return copy
 
 
+def _rows_of(run: ThermalRun, rows: NDArray[Any] | slice) -> dict[str, NDArray[np.float64]]:
+    return {name: values[rows] for name, values in run.drives.items()}
+
+
 def _check_shapes(run: ThermalRun) -> None:
     samples = len(run.time) if run.time.ndim == 1 else -1
     expected = {
@@ -506,11 +529,14 @@ def _check_shapes(run: ThermalRun) -> None:
     }
     if run.spindle_speed is not None:
         expected['spindle_speed'] = (samples,)
-    for field, shape in expected.items():
-        found = getattr(run, field).shape
+    found_of = {name: getattr(run, name).shape for name in expected}
+    for name, values in run.drives.items():
+        expected[name], found_of[name] = (samples,), values.shape
+    for name, shape in expected.items():
+        found = found_of[name]
         if samples < 0 or found != shape:
             raise ThermalDataError(
-                f'run {run.name!r}: expected {field} of shape '
+                f'run {run.name!r}: expected {name} of shape '
                 f'{shape if samples >= 0 else "(n,)"}, but found {found}'
             )
     if len(run.axis) != len(run.channel):
@@ -527,12 +553,12 @@ def _check_shapes(run: ThermalRun) -> None:
 
 
 def _check_names(run: ThermalRun) -> None:
-    for field in ('sensor', 'channel'):
-        names: tuple[str, ...] = getattr(run, field)
+    for kind in ('sensor', 'channel'):
+        names: tuple[str, ...] = getattr(run, kind)
         repeated = repeated_names(names)
         if repeated:
             raise ThermalDataError(
-                f'run {run.name!r}: expected each {field} once, but found '
+                f'run {run.name!r}: expected each {kind} once, but found '
                 f'{", ".join(repeated)} more than once; rename the columns'
             )
 
@@ -579,6 +605,17 @@ def _check_values(run: ThermalRun) -> None:
             raise ThermalDataError(
                 f'run {run.name!r}: expected a spindle speed of at most {SPINDLE_SPEED_MAX:g} '
                 f'rad/s, but found {fastest:g} rad/s; check whether it is in rpm'
+            )
+    for name, values in run.drives.items():
+        if not DRIVE_NAME.fullmatch(name):
+            raise ThermalDataError(
+                f'run {run.name!r}: expected drives named {DRIVE_NAMES}, but found {name!r}'
+            )
+        wrong = values[(values < 0.0) | (values > DRIVE_MAX)]
+        if len(wrong):
+            raise ThermalDataError(
+                f'run {run.name!r}: expected {name} from 0 to {DRIVE_MAX:g}, but found '
+                f'{wrong[0]:g}; check its unit'
             )
 
 
@@ -630,6 +667,7 @@ def counted(run: ThermalRun, start: float | None = None, stop: float | None = No
         temperature=run.temperature[:last],
         displacement=np.where(inside[:last, np.newaxis], run.displacement[:last], np.nan),
         spindle_speed=None if run.spindle_speed is None else run.spindle_speed[:last],
+        drives=_rows_of(run, slice(last)),
     )
 
 
@@ -659,16 +697,15 @@ def hidden(run: ThermalRun, inside: NDArray[np.bool_]) -> ThermalRun:
     temperature = run.temperature.copy()
     for readings in temperature.T:
         readings[gone] = np.interp(run.time[gone], run.time[seen], readings[seen])
-    speed = run.spindle_speed
-    if speed is not None:
-        before = np.maximum(np.searchsorted(seen, gone) - 1, 0)
-        speed = speed.copy()
-        speed[gone] = speed[seen[before]]
+    # Of each row the last that is seen.
+    row = np.arange(len(inside))
+    row[gone] = seen[np.maximum(np.searchsorted(seen, gone) - 1, 0)]
     return replace(
         run,
         temperature=temperature,
         displacement=np.where(inside[:, np.newaxis], np.nan, run.displacement),
-        spindle_speed=speed,
+        spindle_speed=None if run.spindle_speed is None else run.spindle_speed[row],
+        drives=_rows_of(run, row),
     )
 
 
@@ -694,13 +731,27 @@ def speed_known(run: ThermalRun) -> bool:
     return run.spindle_speed is not None and bool(np.isfinite(run.spindle_speed).all())
 
 
+def driver_known(run: ThermalRun, name: str) -> bool:
+    """Return whether a run has a driver in every sample."""
+    if name == SPINDLE_SPEED:
+        return speed_known(run)
+    return name in run.drives and bool(np.isfinite(run.drives[name]).all())
+
+
 def drivers_of(runs: Sequence[ThermalRun]) -> tuple[str, ...]:
-    """Return the drivers that all runs have without a gap."""
-    if not all(map(speed_known, runs)):
-        return ()
-    # A speed that never changes tells nothing that a constant would not.
-    moving = any(float(np.ptp(run.spindle_speed)) > 0.0 for run in runs)  # type: ignore[arg-type]
-    return (SPINDLE_SPEED,) if moving else ()
+    """Return the drivers that all runs have without a gap, the spindle speed first."""
+    # What never changes tells nothing that a constant would not.
+    speed = all(map(speed_known, runs)) and any(
+        float(np.ptp(run.spindle_speed)) > 0.0  # type: ignore[arg-type]
+        for run in runs
+    )
+    drives = [
+        name
+        for name in sorted(set.intersection(*(set(run.drives) for run in runs)))
+        if all(driver_known(run, name) for run in runs)
+        and any(float(np.ptp(run.drives[name])) > 0.0 for run in runs)
+    ]
+    return ((SPINDLE_SPEED,) if speed else ()) + tuple(drives)
 
 
 def drive_of(run: ThermalRun, drivers: Sequence[str]) -> Array:
@@ -711,17 +762,21 @@ def drive_of(run: ThermalRun, drivers: Sequence[str]) -> Array:
     ThermalDataError
         If the run lacks a driver or has gaps in it.
     """
-    if not drivers:
-        return np.empty((len(run.time), 0))
-    if run.spindle_speed is None:
-        raise ThermalDataError(
-            f'run {run.name!r}: expected a spindle speed in every sample, since the model reads '
-            'it, but found none; record machine_state or spindle_speed, or train without it'
-        )
-    lost = np.flatnonzero(~np.isfinite(run.spindle_speed))
-    if len(lost):
-        raise ThermalDataError(
-            f'run {run.name!r}: expected a spindle speed in every sample, since the model reads '
-            f'it, but found none at sample {lost[0]}; train without it'
-        )
-    return speed_drive(run.spindle_speed)[:, np.newaxis]
+    columns = np.empty((len(run.time), len(drivers)))
+    for column, name in zip(columns.T, drivers, strict=True):
+        values = run.spindle_speed if name == SPINDLE_SPEED else run.drives.get(name)
+        words = 'a spindle speed' if name == SPINDLE_SPEED else name
+        topics = 'machine_state or spindle_speed' if name == SPINDLE_SPEED else 'machine_state'
+        if values is None:
+            raise ThermalDataError(
+                f'run {run.name!r}: expected {words} in every sample, since the model reads '
+                f'it, but found none; record {topics}, or train without it'
+            )
+        lost = np.flatnonzero(~np.isfinite(values))
+        if len(lost):
+            raise ThermalDataError(
+                f'run {run.name!r}: expected {words} in every sample, since the model reads '
+                f'it, but found none at sample {lost[0]}; train without it'
+            )
+        column[:] = speed_drive(values) if name == SPINDLE_SPEED else values
+    return columns

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from math import inf, isfinite, isnan
 from typing import Any
 
-from fuzzycnc_ros.core.thermal.candidate import SPEED_SUFFIX, UNCOMPENSATED
+from fuzzycnc_ros.core.thermal.candidate import DRIVES_SUFFIX, SPEED_SUFFIX, UNCOMPENSATED
 from fuzzycnc_ros.studies.page.document import to_document
 from fuzzycnc_ros.studies.page.table import Column, Table, tied
 from fuzzycnc_ros.studies.thermal.report_data import APPLIED, CompensationRun, Score
@@ -49,6 +49,8 @@ def candidate_label(name: str) -> str:
     """
     if name.endswith(SPEED_SUFFIX):
         return f'{candidate_label(name.removesuffix(SPEED_SUFFIX))} with speed'
+    if name.endswith(DRIVES_SUFFIX):
+        return f'{candidate_label(name.removesuffix(DRIVES_SUFFIX))} with drives'
     return _LABELS.get(name) or name.replace('_', ' ').capitalize()
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.band import better, log_residual, mean_of_square, worth_using
 from fuzzycnc_ros.core.thermal.candidate import (
+    DRIVES_SUFFIX,
     SPEED_SUFFIX,
     UNCOMPENSATED,
     Candidate,
@@ -109,7 +110,7 @@ def _fit_recursion(
     Parameters
     ----------
     name : str
-        Name of the candidate; with its suffix it reads the spindle speed.
+        Name of the candidate; its suffix says which drivers it reads.
     contender : Contender
         How it is fitted.
     settings : dict
@@ -135,7 +136,7 @@ def _fit_recursion(
         return _leading(model.recursion_, inputs), model.problems_
     if use is not None:
         target = np.where(use, target, np.nan)
-    kind = name.removesuffix(SPEED_SUFFIX)
+    kind = name.removesuffix(SPEED_SUFFIX).removesuffix(DRIVES_SUFFIX)
     model.set_params(**settings)
     if kind == name:
         model.fit(data.rise, target, runs=data.label)
@@ -390,6 +391,7 @@ CONTENDERS: Mapping[str, Contender] = MappingProxyType(
         'static_ridge': Contender(StaticRidge, held_out=_judge_static_ridge),
         'lag_ridge': Contender(LagRidge, held_out=partial(_judge_lag_ridge, driven=False)),
         'lag_ridge_speed': Contender(LagRidge, held_out=partial(_judge_lag_ridge, driven=True)),
+        'lag_ridge_drives': Contender(LagRidge, held_out=partial(_judge_lag_ridge, driven=True)),
         'classical_grey': Contender(partial(GreyModel, 'classical'), chosen=False),
         'stable_grey': Contender(partial(GreyModel, 'stable'), held_out=_judge_stable_grey),
         'anfis': Contender(Anfis, network=True),
@@ -458,6 +460,7 @@ def fit_candidate(
     ThermalDataError
         If the samples do not suffice for the candidate.
     """
+    whole, data = data, data.read_by(name)
     try:
         if held_out:
             settings, predicted = _held_out_predictions(name, contender, data, step)
@@ -475,7 +478,8 @@ def fit_candidate(
             'fuzzycnc_ros[ml], or leave the model out'
         ) from error
     problems = list(dict.fromkeys(problem for _, found in fits for problem in found))
-    recursion = combine([recursion for recursion, _ in fits])
+    inputs = whole.rise.shape[1] + whole.drive.shape[1]
+    recursion = combine([_leading(recursion, inputs) for recursion, _ in fits])
     if not held_out:
         unknown = np.full(data.displacement.shape[1], np.nan)
         candidate = Candidate(name, tuple(settings), recursion, tuple(problems), unknown, unknown)
@@ -630,7 +634,8 @@ def unseen_residual(
         for name in {name for names in chosen for name in names} - {UNCOMPENSATED}:
             if (contender := contenders[name]) is None:
                 continue
-            _, predicted = _held_out_predictions(name, contender, nested, lambda: None)
+            seen = nested.read_by(name)
+            _, predicted = _held_out_predictions(name, contender, seen, lambda: None)
             by_name[name] = [m - p for m, p in zip(measured, predicted, strict=True)]
     return [
         np.stack([by_name[name][fold][:, c] for c, name in enumerate(names)], axis=1)

@@ -10,9 +10,11 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.remedies import Remedy
 from fuzzycnc_ros.core.thermal.band import fitted_band
 from fuzzycnc_ros.core.thermal.candidate import (
+    DRIVES_SUFFIX,
     SPEED_SUFFIX,
     STANDARD,
     UNCOMPENSATED,
+    drivers_read,
 )
 from fuzzycnc_ros.core.thermal.cold_start import ColdStart
 from fuzzycnc_ros.core.thermal.domain import trained_domain
@@ -39,6 +41,7 @@ from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.recursions.base import bound_of, first_order_lags
 from fuzzycnc_ros.core.thermal.run import (
     JITTER_MAX,
+    SPINDLE_SPEED,
     ThermalDataError,
     ThermalRun,
     drivers_of,
@@ -102,6 +105,7 @@ def train_model(
         Number of clusters.
     candidates : sequence of str
         Candidates to fit, to judge on held-out samples and to choose from, beside `model`.
+        Where the control told drives, `lag_ridge_drives` competes wherever `lag_ridge` does.
     compared : sequence of str
         Further candidates, which are only fitted: they are in the model for a comparison.
     contenders : mapping of str to Contender
@@ -134,6 +138,9 @@ def train_model(
     check_copies(fingerprints)
     selection = _selected(even, sensors, n_clusters, random_state, progress)
     drivers = drivers_of(even) if spindle_speed else ()
+    if LAGGED in candidates and DRIVEN not in candidates and drivers_read(DRIVEN, drivers):
+        candidates = (*candidates, DRIVEN)
+        names = _names(model, candidates, compared, contenders)
     data = TrainingSet.of(even, selection.chosen, drivers)
     nested = None
     if selection.method != 'all':
@@ -143,11 +150,14 @@ def train_model(
     judged = {UNCOMPENSATED: uncompensated(data)}
     omitted: dict[str, str] = {}
     for done, name in enumerate(names):
-        if name.endswith(SPEED_SUFFIX) and not drivers:
+        if name.endswith((SPEED_SUFFIX, DRIVES_SUFFIX)) and not drivers_read(name, drivers):
             if name == model:
+                told = name.endswith(DRIVES_SUFFIX)
+                what = 'motion, load or coolant' if told else 'a spindle speed'
+                topics = 'machine_state' if told else 'machine_state or spindle_speed'
                 raise ThermalDataError(
-                    f'model {name!r}: expected a spindle speed that changes, in every sample '
-                    'of all runs, but found none; record machine_state or spindle_speed, or use '
+                    f'model {name!r}: expected {what} that changes, in every sample '
+                    f'of all runs, but found none; record {topics}, or use '
                     'a model without it'
                 )
             continue
@@ -188,7 +198,7 @@ def train_model(
         watch=learn_watch(even, selection, data.interval),
         cold_start=ColdStart.of(even, selection.chosen),
         fingerprints=fingerprints,
-        prior=learning_prior(even, selection.chosen, bool(drivers), data, residual),
+        prior=learning_prior(even, selection.chosen, SPINDLE_SPEED in drivers, data, residual),
     )
 
 
@@ -210,6 +220,9 @@ def at_interval(run: ThermalRun, interval: float) -> ThermalRun:
         )
     return run.resample(interval)
 
+
+LAGGED, DRIVEN = 'lag_ridge', 'lag_ridge_drives'
+"""A candidate, and the one that competes beside it where the control told drives."""
 
 INTERVAL = 60.0
 """Sampling interval of a model of runs that are sampled as fast, or faster [s]."""

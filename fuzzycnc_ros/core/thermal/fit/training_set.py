@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.thermal.candidate import DRIVES_SUFFIX
 from fuzzycnc_ros.core.thermal.fit.folds import run_rows, training_folds
 from fuzzycnc_ros.core.thermal.moments import Fold, measured_together
-from fuzzycnc_ros.core.thermal.run import ThermalRun, drive_of
+from fuzzycnc_ros.core.thermal.run import SPINDLE_SPEED, ThermalRun, drive_of
 
 _SPARSE = 4.0
 """Time without a measurement that still belongs to the training, in usual steps of it [-]."""
@@ -66,6 +67,8 @@ class TrainingSet:
         Number of the stretch of each sample.
     folds : list of Fold
         Stretches to train and to judge on.
+    drivers : tuple of str, length d
+        Names of these heat sources.
     of_fold : tuple of TrainingSet
         The same samples with the sensors that each fold chose without its own stretches; empty
         where no sensors are chosen.
@@ -80,6 +83,7 @@ class TrainingSet:
     interval: float
     block: NDArray[np.int64]
     folds: list[Fold]
+    drivers: tuple[str, ...] = ()
     of_fold: tuple['TrainingSet', ...] = ()
 
     @staticmethod
@@ -99,6 +103,19 @@ class TrainingSet:
             interval=runs[0].interval,
             block=block,
             folds=folds,
+            drivers=tuple(drivers),
+        )
+
+    def read_by(self, name: str) -> 'TrainingSet':
+        """Return the samples as a candidate of a name has them: drives only if it reads them."""
+        kept = int(SPINDLE_SPEED in self.drivers)
+        if name.endswith(DRIVES_SUFFIX) or len(self.drivers) == kept:
+            return self
+        return replace(
+            self,
+            drive=self.drive[:, :kept],
+            drivers=self.drivers[:kept],
+            of_fold=tuple(item.read_by(name) for item in self.of_fold),
         )
 
     def nested(self, runs: Sequence[ThermalRun], inputs: Sequence[Sequence[str]]) -> 'TrainingSet':
