@@ -384,9 +384,9 @@ class Displacements(Samples):
                 f'{self._where}: expected {len(message.axis)} entries, one per axis, but found '
                 f'{len(position)} at stamp {_seconds(_stamp(message))} s'
             )
-        # NaN is no key.
+        # NaN is no key; a place is one to the millimetre.
         keys = [
-            (str(name), float(place) if np.isfinite(place) else np.inf)
+            (str(name), round(float(place), 3) + 0.0 if np.isfinite(place) else np.inf)
             for name, place in zip(message.axis, position, strict=True)
         ]
         for key in keys:

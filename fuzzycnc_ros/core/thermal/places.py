@@ -13,9 +13,10 @@ any other channel.  The name of a channel tells what it is: `Y`, `Y slope -500..
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
+from typing import Any
 
 import numpy as np
 
@@ -164,6 +165,51 @@ def channel_spans(channel: Sequence[str]) -> tuple[ChannelSpan, ...]:
         span = bent if set(bent.channels) <= set(names) else span
         found.append(ChannelSpan(span, tuple(names.index(item) for item in span.channels)))
     return tuple(found)
+
+
+def motion_of(drives: Mapping[str, Any], axes: Sequence[str], samples: int = 1) -> Array:
+    """Return mean speeds of axes, then mean squared speeds, by what a control told of them.
+
+    Parameters
+    ----------
+    drives : mapping of str to float or ndarray, shape (n,)
+        Values of `axis_speed/X` [m/s] and `axis_square_speed/X` [m2/s2].
+    axes : sequence of str, length m
+        The axes; one of which nothing was told stood still.
+    samples : int
+        Number n of samples.
+
+    Returns
+    -------
+    ndarray, shape (n, 2 m)
+        Zero where it is unknown.
+    """
+    names = [f'{name}/{axis}' for name in ('axis_speed', 'axis_square_speed') for axis in axes]
+    found = np.zeros((samples, len(names)))
+    for column, name in enumerate(names):
+        found[:, column] = drives.get(name, 0.0)
+    return np.nan_to_num(found)
+
+
+def moving_axes(channel: Sequence[str], drives: Sequence[Mapping[str, Array]]) -> tuple[str, ...]:
+    """Return the axes along which the error slopes and whose motion is known throughout.
+
+    Parameters
+    ----------
+    channel : sequence of str
+        Channels of a model.
+    drives : sequence of mapping
+        What the control told in each run; see `motion_of`.
+    """
+    return tuple(
+        item.span.axis
+        for item in channel_spans(channel)
+        if all(
+            np.isfinite(run.get(f'{name}/{item.span.axis}', np.nan)).all()
+            for run in drives
+            for name in ('axis_speed', 'axis_square_speed')
+        )
+    )
 
 
 def sloping_channels(axes: Sequence[str], spans: Sequence[AxisSpan]) -> tuple[str, ...]:

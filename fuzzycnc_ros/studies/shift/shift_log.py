@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.components.thermal.control_drives import drives_at, drives_told
 from fuzzycnc_ros.components.thermal.predictor_stream import TOPICS as SPEED_TOPICS
 from fuzzycnc_ros.components.thermal.predictor_stream import speed_told, speeds_at
 from fuzzycnc_ros.components.thermal.sensor_substitution import RiseSource
@@ -96,8 +97,20 @@ class ShiftLog(RecordLog):
             axis=axis,
             displacement=along,
             spindle_speed=self.spindle_speed(samples, start, stop),
+            drives=self.drives(samples, start, stop),
             limits=JUDGED,
         )
+
+    def drives(
+        self, samples: Sequence[Temperatures], start: int = 0, stop: int | None = None
+    ) -> dict[str, Floats]:
+        """Return what else the control told of heat by each sample of a span."""
+        told = []
+        for item in self.records('machine_state', start, stop):
+            found = drives_told(item)
+            if found is not None:
+                told.append((item.stamp, *found))
+        return drives_at(np.array([item.stamp for item in samples]), told)
 
     def spindle_speed(
         self, samples: Sequence[Temperatures], start: int = 0, stop: int | None = None
