@@ -184,8 +184,7 @@ class AxisDay:
             'left_max_um': 1e6 * float(left.max()),
             'beyond_best_line_max_um': 1e6 * float((left - self.best[rows]).max()),
             'in_band': float(inside[known].mean()) if known.any() else float('nan'),
-            'line_leaves_told_um': 1e6 * float(self.told[-1]),
-            'line_leaves_um': 1e6 * float(self.best[-1]),
+            'line_leaves_told_um': 1e6 * float(self.told[rows][self.best[rows].argmax()]),
         }
 
 
