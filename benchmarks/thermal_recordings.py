@@ -4,9 +4,10 @@
 
 Recordings come from folders, one per machine, that hold its runs as bags or as CSV files.  A CSV
 file is one run; its header line names `t_s` (time [s]), `rpm` (spindle speed, may be left out),
-`T:<sensor>` (temperatures [degC]) and `D:<channel>` (displacements [um]).  An empty cell was not
-measured.  Displacements count from the mean of their first three minutes, as with
-`fuzzycnc import-csv --zero`.
+`T:<sensor>` (temperatures [degC]), `D:<channel>` (displacements [um]) and `C:<drive>` (what else a
+control told, such as `C:axis_speed/X`, see `ThermalRun`).  An empty cell was not measured.
+Displacements count from the mean of their first three minutes, as with `fuzzycnc import-csv
+--zero`.
 """
 
 import csv
@@ -168,6 +169,7 @@ def read_table(path: Path) -> ThermalRun:
         axis=tuple(name.upper() if name.upper() in ('X', 'Y', 'Z') else 'Z' for name in names),
         displacement=MICROMETRE * displacement,
         spindle_speed=column['rpm'] * RPM if 'rpm' in column else None,
+        drives={name[2:]: column[name] for name in header if name.startswith('C:')},
     )
 
 

@@ -133,7 +133,7 @@ def to_dataframe(run: ThermalRun) -> DataFrame:
     """Return a run as a pandas table, indexed by time [s].
 
     Columns are (quantity, name): `temperature` [degC] by sensor, `displacement` [m] by channel
-    and, where it was recorded, `spindle_speed` [rad/s].
+    and, where they were recorded, `spindle_speed` [rad/s] and `drive` by name, see `ThermalRun`.
 
     Raises
     ------
@@ -156,6 +156,8 @@ def to_dataframe(run: ThermalRun) -> DataFrame:
     if run.spindle_speed is not None:
         columns.append(('spindle_speed', ''))
         values.append(run.spindle_speed[:, np.newaxis])
+    columns += [('drive', name) for name in run.drives]
+    values += [column[:, np.newaxis] for column in run.drives.values()]
     return pandas.DataFrame(
         np.hstack(values),
         index=pandas.Index(run.time, name='time'),

@@ -6,7 +6,9 @@ import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import nan
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +49,7 @@ from fuzzycnc_ros.core.thermal.sensor_limits import SensorLimits
 from fuzzycnc_ros.core.thermal.spacing import block_means, reference_rows, sample_interval
 from fuzzycnc_ros.core.units import SPEEDS, TIMES
 from fuzzycnc_ros.runtime.convert import encode
-from fuzzycnc_ros.runtime.enums import MachineMode, Status
+from fuzzycnc_ros.runtime.enums import Coolant, MachineMode, Status
 from fuzzycnc_ros.runtime.records import (
     Displacement,
     MachineState,
@@ -132,12 +134,13 @@ class ImportReport:
 
 @dataclass(frozen=True)
 class _Recording:
-    """The columns in SI units; `speed` has no columns where none is mapped."""
+    """The columns in SI units; `speed` and `drives` have no columns where none is mapped."""
 
     time: NDArray[np.float64]
     temperature: NDArray[np.float64]
     displacement: NDArray[np.float64]
     speed: NDArray[np.float64]
+    drives: NDArray[np.float64]
     readings: int = 0
 
 
@@ -170,9 +173,9 @@ def import_csv(
     Notes
     -----
     Topics, below the name of the machine: `temperatures`, `displacement` if columns are mapped,
-    `machine_state` if the spindle speed is, and latched `thermal_reference`: the mean of the
-    first three samples, readings faster than one a minute counting as samples of one minute
-    (as `ThermalRun.rise` takes it), stamped with the last of them.
+    `machine_state` if the spindle speed or a drive is, and latched `thermal_reference`: the mean
+    of the first three samples, readings faster than one a minute counting as samples of one
+    minute (as `ThermalRun.rise` takes it), stamped with the last of them.
     The stamps are the time since the first imported row plus the epoch; log times equal them.
     """
     path = Path(file)
@@ -183,6 +186,7 @@ def import_csv(
     mapping = _placed(table, mapping)
     if mapping.spindle_speed is not None:
         table.require([mapping.spindle_speed], '--speed')
+    table.require(list(mapping.drives.values()), 'drives')
     names = _names(table, mapping, sensors)
     channels = _channel_names(table, mapping)
     times = table.time(mapping.time, mapping.time_unit, mapping.time_format, mapping.time_zone)
@@ -434,6 +438,7 @@ def _read(
         temperature=temperature,
         displacement=displacement * np.array([channel.scale for channel in mapping.channels]),
         speed=_columns(table, speed) * SPEEDS[mapping.spindle_speed_unit],
+        drives=_columns(table, list(mapping.drives.values())),
     )
     return recording, tuple(unread), tuple(unsure)
 
@@ -586,8 +591,8 @@ def _resampled(path: Path, recording: _Recording, interval: float) -> _Recording
             f'{path}: expected at least {SAMPLES_MIN} samples but --resample {interval:g} leaves '
             f'{count} of {time[-1]:.6g} s'
         )
-    columns = (recording.temperature, recording.displacement, recording.speed)
-    temperature, displacement, speed = (
+    columns = (recording.temperature, recording.displacement, recording.speed, recording.drives)
+    temperature, displacement, speed, drives = (
         block_means(time, values, interval, block, count) for values in columns
     )
     return _Recording(
@@ -595,6 +600,7 @@ def _resampled(path: Path, recording: _Recording, interval: float) -> _Recording
         temperature=temperature,
         displacement=displacement,
         speed=speed,
+        drives=drives,
         readings=max(1, round(len(time) / count)),
     )
 
@@ -636,14 +642,17 @@ def _write(
         writer.add_topic(f'/{machine}/temperatures', Temperatures.TYPE, STREAM)
         if channels:
             writer.add_topic(f'/{machine}/displacement', Displacement.TYPE, STREAM)
-        if mapping.spindle_speed is not None:
+        states = mapping.spindle_speed is not None or mapping.drives
+        told = _told(mapping, recording)
+        if states:
             writer.add_topic(f'/{machine}/machine_state', MachineState.TYPE, STREAM)
         writer.add_topic(f'/{machine}/thermal_reference', ThermalReference.TYPE, LATCHED)
         for k, stamp in enumerate(stamps.tolist()):
             temperature = recording.temperature[k]
-            if mapping.spindle_speed is not None:
-                speed = float(recording.speed[k, 0])
-                write('machine_state', _machine_state(machine, stamp, cold_since, speed))
+            if states:
+                speed = float(recording.speed[k, 0]) if mapping.spindle_speed is not None else nan
+                state = _machine_state(machine, stamp, cold_since, speed)
+                write('machine_state', replace(state, **{n: v[k] for n, v in told.items()}))
             write(
                 'temperatures',
                 Temperatures(
@@ -684,6 +693,33 @@ def _write(
                         samples=min(first_rows, 2**16 - 1),
                     ),
                 )
+
+
+def _told(mapping: CsvMapping, recording: _Recording) -> dict[str, Any]:
+    """Return fields of `machine_state` by row that say what else the control told.
+
+    Motion is told as counters; what is told as it is holds from one row to the next.
+    """
+    if not mapping.drives:
+        return {}
+    columns = dict(zip(mapping.drives, recording.drives.T, strict=True))
+    steps = np.diff(recording.time, prepend=recording.time[:1])
+    axes = sorted({name.partition('/')[2] for name in columns if '/' in name})
+    rows = len(recording.time)
+    found: dict[str, Any] = {'axis': [tuple(axes)] * rows}
+    found['position'] = np.full((rows, len(axes)), np.nan)
+    for field, name in (('travel', 'axis_speed'), ('square_speed', 'axis_square_speed')):
+        means = [columns.get(f'{name}/{axis}', np.full(rows, np.nan)) for axis in axes]
+        growth = np.stack(means, axis=1) * steps[:, np.newaxis] if axes else np.zeros((rows, 0))
+        found[field] = np.where(np.isnan(growth), np.nan, np.nancumsum(growth, axis=0))
+    later = np.minimum(np.arange(rows) + 1, rows - 1)
+    if 'spindle_load' in columns:
+        found['spindle_load'] = columns['spindle_load'][later].tolist()
+    if 'coolant' in columns:
+        on = columns['coolant'][later]
+        names = np.where(on >= 0.5, Coolant.ON, Coolant.OFF)
+        found['coolant'] = np.where(np.isnan(on), Coolant.UNKNOWN, names).tolist()
+    return found
 
 
 def _machine_state(machine: str, stamp: int, cold_since: int, speed: float) -> MachineState:

@@ -11,6 +11,7 @@ from pathlib import Path
 from fuzzycnc_ros.bags.csv_table import Table, read_table
 from fuzzycnc_ros.bags.csv_time import ISO8601, strptime_form, zone_of
 from fuzzycnc_ros.bags.errors import CsvError
+from fuzzycnc_ros.core.thermal.run import DRIVE_NAME, DRIVE_NAMES
 from fuzzycnc_ros.core.units import LENGTHS, SPEEDS, TIMES
 
 LENGTH_UNITS = {**{unit: LENGTHS[unit] for unit in ('um', 'mm', 'm')}, 'nm': 1e-9}
@@ -141,6 +142,9 @@ class CsvMapping:
         Spindle-speed column.
     spindle_speed_unit : {'rpm', 'rad/s'}
         Its unit.
+    drives : mapping
+        What else the control told, to its column: `axis_speed/X` [m/s], `axis_square_speed/X`
+        [m2/s2], `spindle_load` [-] and `coolant` [0 or 1], each the mean since the row before.
     sensor_limits : sequence of str
         Limits of sensors that are not those of a machine's metal, such as `bed:range_high:250`;
         the names are those of the columns.
@@ -178,6 +182,7 @@ class CsvMapping:
     displacements: Sequence[Channel | str] = ()
     spindle_speed: str | None = None
     spindle_speed_unit: str = 'rpm'
+    drives: Mapping[str, str] = field(default_factory=dict)
     rename: Mapping[str, str] = field(default_factory=dict)
     encoding: str = 'utf-8'
     header: bool = True
@@ -194,6 +199,9 @@ class CsvMapping:
         _word('time_unit', self.time_unit, {**TIMES, ISO8601: 1.0})
         _word('temperature_unit', self.temperature_unit, TEMPERATURE_UNITS)
         _word('spindle_speed_unit', self.spindle_speed_unit, SPEEDS)
+        for name in self.drives:
+            if not DRIVE_NAME.fullmatch(name):
+                raise CsvError(f'drives: expected {DRIVE_NAMES} but found {name!r}')
         if self.time_format is not None:
             try:
                 object.__setattr__(self, 'time_format', strptime_form(self.time_format))
@@ -252,7 +260,8 @@ class CsvMapping:
         CsvError
             If a name or pattern fits no column.
         """
-        taken = {self.time, self.spindle_speed, *(channel.column for channel in self.channels)}
+        taken = {self.time, self.spindle_speed, *self.drives.values()}
+        taken.update(channel.column for channel in self.channels)
         chosen: set[str] = set()
         for pattern in self.temperatures:
             fits = [

@@ -7,6 +7,7 @@ COMPARED = (
     'static_ridge',
     'lag_ridge',
     'lag_ridge_speed',
+    'lag_ridge_drives',
     'classical_grey',
     'convolution_grey',
     'optimised_grey',

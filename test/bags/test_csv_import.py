@@ -103,6 +103,7 @@ def test_file_that_cannot_be_read(importing, tmp_path):
         ({'resample': 0.0}, r'resample: expected an interval above 0'),
         ({'epoch': -1.0}, r'epoch: expected 0 to'),
         ({'machine': 'a b'}, r'machine: expected letters'),
+        ({'drives': {'load': 'x'}}, r"drives: expected axis_speed/X, .* but found 'load'"),
     ],
 )
 def test_bad_mapping_is_refused(options, complaint):
@@ -475,3 +476,26 @@ def test_a_column_of_positions_without_places_is_refused(importing):
     mapping = CsvMapping(time='t', temperatures=['a'], displacements=['err=X:um@pos:mm'])
     with pytest.raises(CsvError, match=r"column 'pos': expected positions of 1 to 20 places"):
         importing(cells, mapping)
+
+
+def test_what_else_a_control_told_comes_back_as_it_was(importing, tmp_path):
+    head = ['t', 'a', 'ch', 'moved', 'load', 'cool']
+    load = [f'{0.1 * (row % 5):.1f}' for row in range(20)]
+    moved = ['' if row == 9 else f'{0.02 * (row % 4):.2f}' for row in range(20)]
+    cool = [str(row // 10) for row in range(20)]
+    table = [[str(15 * row), '20.5', '0', moved[row], load[row], cool[row]] for row in range(20)]
+    mapping = CsvMapping(
+        time='t',
+        temperatures=['a'],
+        displacements=['ch=X:um'],
+        drives={'axis_square_speed/X': 'moved', 'spindle_load': 'load', 'coolant': 'cool'},
+    )
+    importing([head, *table], mapping)
+    run = read_run(tmp_path / 'bag')
+    assert run.spindle_speed is None
+    assert sorted(run.drives) == ['axis_square_speed/X', 'coolant', 'spindle_load']
+    np.testing.assert_allclose(run.drives['spindle_load'][1:], np.array(load, float)[1:])
+    np.testing.assert_allclose(run.drives['coolant'][1:], np.array(cool, float)[1:])
+    known = [row for row in range(1, 20) if row not in (9, 10)]
+    wanted = [float(moved[row]) for row in known]
+    np.testing.assert_allclose(run.drives['axis_square_speed/X'][known], wanted, atol=1e-12)

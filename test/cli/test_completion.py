@@ -70,7 +70,7 @@ def test_commands_are_proposed_without_loading_any(root):
             ['thermal', 'learn', 'contour', 'pattern', 'shift', 'linuxcnc'],
         ),
         ('fuzzycnc demo --scenario = sh', ['shift']),
-        ('fuzzycnc train --model lag', ['lag_ridge', 'lag_ridge_speed']),
+        ('fuzzycnc train --model lag', ['lag_ridge', 'lag_ridge_speed', 'lag_ridge_drives']),
         ('fuzzycnc compare --models anfis,mlp', ['anfis,mlp', 'anfis,mlp_speed']),
         ('fuzzycnc compare --machine ', ['grinder']),
         ('fuzzycnc evaluate --start 5 --j', ['--jobs', '--json']),

@@ -155,8 +155,8 @@ def import_csv(
         given(
             'File with these settings: keys time, time_unit, time_format, time_zone, '
             'temperatures, temperature_unit, sensor_limits, displacements, spindle_speed, '
-            'spindle_speed_unit, rename, encoding, header, delimiter, decimal, rows, zero, '
-            'resample, machine, epoch. '
+            'spindle_speed_unit, drives, rename, encoding, header, delimiter, decimal, rows, '
+            'zero, resample, machine, epoch. '
             'Options overrule it.',
             metavar='FILE.yaml',
         ),
@@ -272,7 +272,7 @@ def _read_mapping(path: Path, known: list[str]) -> dict[str, Any]:
 
 def _setting(reading: 'YamlReading', key: str, entry: 'Entry') -> Any:
     """Return a setting in the form that `CsvMapping` takes; YAML types it by its looks."""
-    if key == 'rename':
+    if key in ('rename', 'drives'):
         pairs = reading.mapping(entry, key, 'pairs such as column: name')
         return {column: str(reading.value(name)) for column, name in pairs.items()}
     if key in ('resample', 'epoch'):

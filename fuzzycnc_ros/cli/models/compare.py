@@ -52,7 +52,7 @@ from fuzzycnc_ros.cli.options import (
     names_of,
 )
 from fuzzycnc_ros.cli.quantities import number_in
-from fuzzycnc_ros.core.thermal.candidate import COMPARED_ONLY, SPEED_SUFFIX
+from fuzzycnc_ros.core.thermal.candidate import COMPARED_ONLY, DRIVES_SUFFIX, SPEED_SUFFIX
 from fuzzycnc_ros.core.units import TIMES
 from fuzzycnc_ros.papers.names import COMPARED
 
@@ -422,7 +422,7 @@ def _window(text: str) -> tuple[float, float]:
 
 
 def _without_speed(names: tuple[str, ...], reason: str) -> tuple[str, ...]:
-    kept = tuple(name for name in names if not name.endswith(SPEED_SUFFIX))
+    kept = tuple(name for name in names if not name.endswith((SPEED_SUFFIX, DRIVES_SUFFIX)))
     if not kept:
         raise ValueError(
             f'--models: expected a model that does without the spindle speed, as it is not used '

@@ -87,6 +87,10 @@ def _leading(recursion: Recursion, inputs: int) -> Recursion:
             drive=np.pad(recursion.drive, ((0, 0), (0, ignored))),
             direct=np.pad(recursion.direct, ((0, 0), (0, ignored))),
         )
+    if isinstance(recursion, SeriesRecursion):
+        bank = _leading(recursion.bank, inputs)
+        assert isinstance(bank, LinearRecursion)
+        return replace(recursion, bank=bank)
     bank = LinearRecursion(
         pole=np.empty(0),
         drive=np.empty((0, inputs)),

@@ -95,6 +95,19 @@ def test_a_model_file_keeps_them_and_its_stream_needs_them(model):
         ThermalModel.from_json(text)
 
 
+def test_forms_of_all_kinds_ignore_them_in_a_model_file(runs):
+    names = ('lag_ridge', 'classical_grey', 'stable_grey', 'hybrid_network_speed')
+    few = [replace(run.resample(240.0)) for run in runs[:2]]
+    model = train_model(few, candidates=('lag_ridge',), compared=names)
+    again = ThermalModel.from_json(model.to_json())
+    assert set(names) < set(again.candidates), again.omitted
+    told = few[1].drives[MOVED]
+    other = replace(few[1], drives={MOVED: told + 1.0, 'coolant': 0.0 * told})
+    for name in names:
+        alike = again.predict(few[1], name), again.predict(other, name)
+        np.testing.assert_array_equal(*alike)
+
+
 def test_a_run_keeps_them_in_step(runs):
     run = runs[0]
     slow = run.resample(120.0)
