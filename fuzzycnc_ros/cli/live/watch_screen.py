@@ -98,6 +98,8 @@ def _axes(view: Mapping[str, Any]) -> list[Text]:
         if axis['limited']:
             line.append(f'  {" ".join(axis["limited"])}', style='bold yellow')
         lines.append(line)
+        if axis['along'] is not None:
+            lines.append(Text(_along(axis['along']), style='dim'))
         probe = axis['probe']
         if probe is not None:
             age = '' if probe['age'] is None else f' {_duration(probe["age"])} ago'
@@ -106,6 +108,17 @@ def _axes(view: Mapping[str, Any]) -> list[Text]:
             probes.append(f'{told} (predicted {predicted} um){age}')
     lines.append(Text('last probe: ' + ('; '.join(probes) or 'none')))
     return lines
+
+
+def _along(along: Mapping[str, Sequence[float | None]]) -> str:
+    """Return error with its band, and offset, at both ends and the middle of an axis."""
+    places = zip(*(along[name] for name in ('position', 'error', 'band', 'offset')), strict=True)
+    told = [
+        f'{1e3 * (place or 0.0):.0f} mm: error {_micro(error, "+.1f") or "?"} '
+        f'±{_micro(band, ".1f") or "?"} um, offset {_micro(offset, "+.1f") or "none"}'
+        for place, error, band, offset in places
+    ]
+    return '  along the axis at ' + '; at '.join(told)
 
 
 def _probing(probing: Mapping[str, Any] | None) -> list[Text]:
