@@ -368,18 +368,19 @@ class Displacements(Samples):
         self._places: dict[tuple[str, float], int] = {}
         self._told: list[tuple[int, list[tuple[str, float]], NDArray[np.float64]]] = []
 
-    def take(self, message: Any) -> None:
-        """Take a message."""
+    def take(self, message: Any, values: NDArray[np.float64] | None = None) -> None:
+        """Take a message, or values of it that are parallel to its displacements."""
+        values = message.displacement if values is None else values
         position = np.asarray(message.position, dtype=np.float64)
         if not np.isfinite(position).any() and not self._told:
-            self.add(message, message.displacement)
+            self.add(message, values)
             return
         if self._stamps:
             raise RunError(
                 f'{self._where}: expected a position in every message but at stamp '
                 f'{_seconds(_stamp(message))} s they begin, or end; cut the bag there'
             )
-        if not len(position) == len(message.axis) == len(message.displacement):
+        if not len(position) == len(message.axis) == len(values):
             raise BagDataError(
                 f'{self._where}: expected {len(message.axis)} entries, one per axis, but found '
                 f'{len(position)} at stamp {_seconds(_stamp(message))} s'
@@ -391,7 +392,7 @@ class Displacements(Samples):
         ]
         for key in keys:
             self._places.setdefault(key, len(self._places))
-        self._told.append((_stamp(message), keys, message.displacement))
+        self._told.append((_stamp(message), keys, values))
 
     @property
     def position(self) -> NDArray[np.float64]:

@@ -62,7 +62,7 @@ def test_error_is_cut_at_the_size_limit_and_flagged():
 
 def test_a_large_error_is_approached_at_the_slew_limit():
     bench = active_bench()
-    first = follow(bench, 60.0, (20 * MICRON, 0.0))
+    first = follow(bench, 60.0, (40 * MICRON, 0.0))
     commands = [first, *(item.record for item in bench.until(180.0))]
     for before, after in pairwise(commands):
         elapsed = 1e-9 * (after.stamp - before.stamp)
