@@ -29,6 +29,9 @@ CYCLE_MAX = 600.0
 SPAN_MIN = 1e-3
 """Shortest span of places that tells of a slope [m]."""
 
+INNER = 0.5
+"""Part of the span about its middle within which a place tells of a bend [-]."""
+
 BEND_LARGEST = 2.0 / 3.0
 """Largest distance of the error from the line, over its bend [-]."""
 
@@ -302,7 +305,7 @@ def along_axes(
         done.add(along)
         middle = 0.5 * (known[0] + known[-1])
         reach = 0.5 * (known[-1] - known[0])
-        bent = bool((np.abs(known - middle) < 0.5 * reach).any())
+        bent = bool((np.abs(known - middle) < INNER * reach).any())
         span = AxisSpan(along, float(known[0]), float(known[-1]), bent)
         fitted = _fitted(time, span, position[columns], displacement[:, columns])
         bases.append((along, along, fitted[:, 0]))
@@ -330,12 +333,17 @@ def _fitted(time: Array, span: AxisSpan, position: Array, measured: Array) -> Ar
     for pattern in np.unique(there[looked], axis=0):
         rows = looked & (there == pattern).all(axis=1)
         used = shares[pattern]
+        along = used[:, 1]
         # Without the middle the bend is unknown, and taken for none.
-        known = count if np.linalg.matrix_rank(used) == count else min(count, 2)
-        if np.linalg.matrix_rank(used[:, :known]) < known:
+        around = bool((along < 0.0).any() and (along > 0.0).any())
+        inner = bool((np.abs(along) < INNER).any())
+        known = count if around and inner else min(count, 2)
+        if np.ptp(along) * span.half < SPAN_MIN:
             continue
-        solution, *_ = np.linalg.lstsq(used[:, :known], near[rows][:, pattern].T, rcond=None)
-        found[np.ix_(rows, np.arange(known))] = solution.T
+        used = used[:, :known]
+        square = portable.matmul(used.T, used)
+        values = portable.matmul(near[rows][:, pattern], used)
+        found[np.ix_(rows, np.arange(known))] = portable.solve(square, values.T).T
     return found
 
 
