@@ -111,14 +111,14 @@ def _axes(view: Mapping[str, Any]) -> list[Text]:
 
 
 def _along(along: Mapping[str, Sequence[float | None]]) -> str:
-    """Return error with its band, and offset, at both ends and the middle of an axis."""
-    places = zip(*(along[name] for name in ('position', 'error', 'band', 'offset')), strict=True)
-    told = [
-        f'{1e3 * (place or 0.0):.0f} mm: error {_micro(error, "+.1f") or "?"} '
-        f'±{_micro(band, ".1f") or "?"} um, offset {_micro(offset, "+.1f") or "none"}'
-        for place, error, band, offset in places
-    ]
-    return '  along the axis at ' + '; at '.join(told)
+    """Return error with its widest band, and offset, from one end of an axis to the other."""
+    error, offset = (
+        ' '.join(_micro(value, '+.1f') or '?' for value in along[name])
+        for name in ('error', 'offset')
+    )
+    low, high = (1e3 * (along['position'][at] or 0.0) for at in (0, -1))
+    band = _micro(max(value or 0.0 for value in along['band']), '.1f')
+    return f'  from {low:.0f} to {high:.0f} mm: error {error} ±{band} um, offset {offset}'
 
 
 def _probing(probing: Mapping[str, Any] | None) -> list[Text]:
