@@ -434,7 +434,7 @@ def assert_line(run, rows):
     assert run.channel == ('X', 'X slope -400..0 mm', 'X bend -400..0 mm')
     time = run.time[rows]
     low, middle, high = 1e-6 * np.array(along_x(time))
-    expected = [(low + middle + high) / 3, (high - low) / 2, middle - (low + high) / 2]
+    expected = [(low + 2 * middle + high) / 4, (high - low) / 2, middle - (low + high) / 2]
     np.testing.assert_allclose(run.displacement[rows], np.transpose(expected), atol=1e-12)
 
 

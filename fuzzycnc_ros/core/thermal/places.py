@@ -4,12 +4,12 @@
 
 With u from -1 to 1 along the span of the probed places the error of an axis is
 
-    e(u) = offset + slope u + bend (2/3 - |u|)
+    e(u) = offset + slope u + bend (1/2 - |u|)
 
-so that offset and slope are the line of least squares through both ends and the middle, and bend
-is what the middle is off from the mean of the ends.  All three are lengths, learnt and judged like
-any other channel.  The name of a channel tells what it is: `Y`, `Y slope -500..0 mm`, `Y bend
--500..0 mm`.
+so that bend is what the middle is off from the mean of the ends, and offset and slope are the line
+that leaves least: half of the bend, at the ends and, the other way, in the middle.  All three are
+lengths, learnt and judged like any other channel.  The name of a channel tells what it is: `Y`,
+`Y slope -500..0 mm`, `Y bend -500..0 mm`.
 """
 
 import re
@@ -32,11 +32,11 @@ SPAN_MIN = 1e-3
 INNER = 0.5
 """Part of the span about its middle within which a place tells of a bend [-]."""
 
-BEND_LARGEST = 2.0 / 3.0
+BEND_LARGEST = 0.5
 """Largest distance of the error from the line, over its bend [-]."""
 
-LINE_RMS = 0.5
-"""Root mean square of that distance along the travel, over the largest [-]."""
+LINE_RMS = 0.577
+"""Root mean square of that distance along the travel, over the largest: 1/sqrt(3) [-]."""
 
 TELLING = 1e-6
 """Share of what is known beforehand below which a probe tells nothing of a channel [-]."""

@@ -58,13 +58,13 @@ def test_a_model_publishes_its_axes_with_slope_place_and_what_a_line_leaves():
     assert found['slope'] == pytest.approx([-100e-6, np.nan], nan_ok=True)
     assert found['slope_deviation'] == pytest.approx([20e-6, np.nan], nan_ok=True)
     assert found['reference_position'] == pytest.approx([-0.2, np.nan], nan_ok=True)
-    assert found['line_deviation'] == pytest.approx([5e-6 * 2 / 3, np.nan], nan_ok=True)
+    assert found['line_deviation'] == pytest.approx([2.5e-6, np.nan], nan_ok=True)
 
 
 def test_three_places_tell_all_channels_of_an_axis():
     (told,) = taken(probe([-0.4, -0.2, 0.0], [20e-6, 6e-6, -10e-6]))
     error, noise, _ = told.of_channels(CHANNELS, AXES, np.zeros(4), np.full(4, 1e-3))
-    assert error == pytest.approx([16e-6 / 3, np.nan, -15e-6, 1e-6], nan_ok=True, abs=1e-10)
+    assert error == pytest.approx([5.5e-6, np.nan, -15e-6, 1e-6], nan_ok=True, abs=1e-10)
     assert noise[[0, 2, 3]].max() < 2e-6
 
 
