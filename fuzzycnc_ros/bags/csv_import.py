@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fuzzycnc_ros.bags.csv_mapping import (
     LENGTH_UNITS,
     TEMPERATURE_UNITS,
+    Channel,
     CsvMapping,
 )
 from fuzzycnc_ros.bags.csv_table import Table, Times
@@ -90,6 +91,10 @@ _NAMES: Mapping[str, Mapping[str, str]] = {
         'um': 'um', '\xb5m': 'um', '\u03bcm': 'um', 'mm': 'mm', 'm': 'm', 'nm': 'nm',
     },
 }  # fmt: skip
+
+
+PLACES_MAX = 20
+"""Most places along an axis that a column may tell."""
 
 
 @dataclass(frozen=True)
@@ -178,11 +183,12 @@ def import_csv(
     sensors = _sensor_columns(table, mapping)
     table.require([mapping.time], '--time')
     table.require([channel.column for channel in mapping.channels], '--displacement')
+    mapping = _placed(table, mapping)
     if mapping.spindle_speed is not None:
         table.require([mapping.spindle_speed], '--speed')
     table.require(list(mapping.drives.values()), 'drives')
     names = _names(table, mapping, sensors)
-    channels = _names(table, mapping, [channel.column for channel in mapping.channels])
+    channels = _channel_names(table, mapping)
     times = table.time(mapping.time, mapping.time_unit, mapping.time_format, mapping.time_zone)
     time, date = times.seconds, times.date
     recording, unread, unsure = _read(table, mapping, sensors, time)
@@ -422,15 +428,57 @@ def _read(
                 f'{table.path}, column {sensors[item.column]!r}: {item.value:g} throughout is '
                 f'{item.meaning}; see whether the sensor is connected, or leave it out'
             )
+    displacement = _columns(table, [channel.column for channel in mapping.channels])
+    for column, channel in enumerate(mapping.channels):
+        if channel.place:
+            elsewhere = _places(table, channel) != channel.position
+            displacement[elsewhere, column] = np.nan
     recording = _Recording(
         time=time,
         temperature=temperature,
-        displacement=_columns(table, [channel.column for channel in mapping.channels])
-        * np.array([channel.scale for channel in mapping.channels]),
+        displacement=displacement * np.array([channel.scale for channel in mapping.channels]),
         speed=_columns(table, speed) * SPEEDS[mapping.spindle_speed_unit],
         drives=_columns(table, list(mapping.drives.values())),
     )
     return recording, tuple(unread), tuple(unsure)
+
+
+def _placed(table: Table, mapping: CsvMapping) -> CsvMapping:
+    """Return the mapping with a channel for each place that a column of positions tells."""
+    channels: list[Channel] = []
+    for channel in mapping.channels:
+        if not channel.place:
+            channels.append(channel)
+            continue
+        table.require([channel.place], '--displacement')
+        found = _places(table, channel)
+        known = np.unique(found[np.isfinite(found)])
+        if not 1 <= len(known) <= PLACES_MAX:
+            raise CsvError(
+                f'{table.path}, column {channel.place!r}: expected positions of 1 to '
+                f'{PLACES_MAX} places, to the millimetre, but found {len(known)}'
+            )
+        channels += [replace(channel, position=float(place)) for place in known]
+    return replace(mapping, displacements=tuple(channels))
+
+
+def _places(table: Table, channel: Channel) -> NDArray[np.float64]:
+    """Return the position of each row, to the millimetre [m]."""
+    position = _columns(table, [channel.place])[:, 0] * LENGTH_UNITS[channel.place_unit]
+    return np.asarray(np.round(position, 3) + 0.0)  # no minus zero
+
+
+def _channel_names(table: Table, mapping: CsvMapping) -> list[str]:
+    """Return the name of each channel; one of several places of a column tells which it is."""
+    columns = [channel.column for channel in mapping.channels]
+    once = list(dict.fromkeys(columns))
+    names = dict(zip(once, _names(table, mapping, once), strict=True))
+    return [
+        names[channel.column]
+        if columns.count(channel.column) == 1 or channel.position is None
+        else f'{names[channel.column]}@{1e3 * channel.position:.6g}mm'
+        for channel in mapping.channels
+    ]
 
 
 def _columns(table: Table, names: list[str]) -> NDArray[np.float64]:
@@ -583,6 +631,9 @@ def _write(
     machine = mapping.machine
     cold_since = int(stamps[0])
     first_rows = reference_rows(recording.time)
+    position = np.array(
+        [np.nan if item.position is None else item.position for item in mapping.channels]
+    )
     with BagWriter(out, flush_interval=None, custom=facts) as writer:
 
         def write(topic: str, record: Record) -> None:
@@ -625,6 +676,7 @@ def _write(
                         # How well they were measured no CSV file says.
                         standard_deviation=np.full(len(channels), np.nan),
                         includes_compensation=False,
+                        position=position,
                     ),
                 )
             if k == first_rows - 1:

@@ -18,7 +18,10 @@ LENGTH_UNITS = {**{unit: LENGTHS[unit] for unit in ('um', 'mm', 'm')}, 'nm': 1e-
 TEMPERATURE_UNITS = {'degC': (1.0, 0.0), 'K': (1.0, -273.15), 'degF': (5.0 / 9.0, -160.0 / 9.0)}
 AXES = 'XYZABCUVW'
 
-_CHANNEL = re.compile(r'(?P<column>.+)=(?P<sign>[+-]?)(?P<axis>\w+):(?P<unit>\w+)')
+_CHANNEL = re.compile(
+    r'(?P<column>.+)=(?P<sign>[+-]?)(?P<axis>\w+):(?P<unit>\w+)'
+    r'(@(?P<position>[-+]?[\d.]+)(?P<position_unit>[a-z]+)|@(?P<place>.+):(?P<place_unit>\w+))?'
+)
 _MACHINE = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
 
 
@@ -36,12 +39,21 @@ class Channel:
         Its unit.
     sign : {1, -1}
         -1 for a probe that counts against the axis.
+    position : float, optional
+        Where on the axis it was measured, machine coordinates [m].
+    place : str
+        Column that tells the position of each row instead; empty if none does.
+    place_unit : {'mm', 'm', 'um', 'nm'}
+        Unit of that column.
     """
 
     column: str
     axis: str
     unit: str = 'um'
     sign: int = 1
+    position: float | None = None
+    place: str = ''
+    place_unit: str = 'mm'
 
     def __post_init__(self) -> None:
         """Refuse axes and units that do not exist."""
@@ -51,6 +63,7 @@ class Channel:
                 f'but found {self.axis!r}'
             )
         _word(f'unit of column {self.column!r}', self.unit, LENGTH_UNITS)
+        _word(f'unit of column {self.place!r}', self.place_unit, LENGTH_UNITS)
         if self.sign not in (1, -1):
             raise CsvError(f'column {self.column!r}: expected sign 1 or -1, found {self.sign}')
 
@@ -62,6 +75,9 @@ class Channel:
 
 def parse_channel(text: str) -> Channel:
     """Return the channel that a text such as `ch1=X:um` or `probe 2=-Y:mm` describes.
+
+    Behind an `@` it says where on the axis that is: `ch1=X:um@-400mm`, or in which column of the
+    file, `ch1=X:um@pos:mm`.
 
     Raises
     ------
@@ -76,10 +92,26 @@ def parse_channel(text: str) -> Channel:
     match = _CHANNEL.fullmatch(text)
     if match is None:
         raise CsvError(
-            f'displacement: expected COLUMN=AXIS:UNIT such as ch1=X:um but found {text!r}'
+            'displacement: expected COLUMN=AXIS:UNIT such as ch1=X:um, or ch1=X:um@-400mm, '
+            f'but found {text!r}'
         )
+    position = None
+    if match['position'] is not None:
+        _word(f'position of column {match["column"]!r}', match['position_unit'], LENGTH_UNITS)
+        try:
+            position = float(match['position']) * LENGTH_UNITS[match['position_unit']]
+        except ValueError:
+            raise CsvError(
+                f'displacement: expected a number behind @ but found {text!r}'
+            ) from None
     return Channel(
-        match['column'], match['axis'], match['unit'], -1 if match['sign'] == '-' else 1
+        match['column'],
+        match['axis'],
+        match['unit'],
+        -1 if match['sign'] == '-' else 1,
+        position,
+        match['place'] or '',
+        match['place_unit'] or 'mm',
     )
 
 

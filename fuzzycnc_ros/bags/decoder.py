@@ -40,8 +40,10 @@ Step = Callable[[bytes, int], tuple[Any, int]]
 _HEAD = b'\x00\x01'  # CDR, little endian
 _LENGTH = struct.Struct('<I')
 _STAMP = struct.Struct('<iI')
+_APPLIED = 'fuzzycnc_msgs/msg/CompensationApplied'
 _DISPLACEMENT = 'fuzzycnc_msgs/msg/Displacement'
 _MACHINE_STATE = 'fuzzycnc_msgs/msg/MachineState'
+_THERMAL_ERROR = 'fuzzycnc_msgs/msg/ThermalError'
 _TIME, _HEADER = 'builtin_interfaces/msg/Time', 'std_msgs/msg/Header'
 _TIME_FIELDS = [('sec', (BASE, ('int32', 0))), ('nanosec', (BASE, ('uint32', 0)))]
 _HEADER_FIELDS = [('stamp', (NAME, _TIME)), ('frame_id', (BASE, ('string', 0)))]
@@ -70,9 +72,25 @@ def _with_motion(old: Any) -> Any:
     return message_type(_MACHINE_STATE)(**vars(old), **added)
 
 
+def _without_slope(old: Any) -> Any:
+    """Return a thermal error of message set 2, the same at all positions of an axis."""
+    names = ('slope', 'slope_deviation', 'reference_position', 'line_deviation')
+    unknown = np.full(len(old.axis), np.nan)
+    return message_type(_THERMAL_ERROR)(**vars(old), **dict.fromkeys(names, unknown))
+
+
+def _applied_everywhere(old: Any) -> Any:
+    """Return a read-back of message set 2, whose offset is in force wherever the axis is."""
+    count = len(old.axis)
+    added = {'slope': np.zeros(count), 'position': np.full(count, np.nan)}
+    return message_type(_APPLIED)(**vars(old), **added)
+
+
 UPGRADERS: Upgraders = {
     (_DISPLACEMENT, 1): _with_position,
     (_MACHINE_STATE, 1): _with_motion,
+    (_THERMAL_ERROR, 2): _without_slope,
+    (_APPLIED, 2): _applied_everywhere,
 }
 """The upgraders of this version."""
 

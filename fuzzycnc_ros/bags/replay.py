@@ -447,7 +447,7 @@ class _Recording:
     def compared(self, topic: str, messages: list[_Output], failure: str) -> TopicComparison:
         """Compare what was recorded on a topic with what was recomputed."""
         recorded = self.raw.get(topic, [])
-        found, last = _compare_topic(topic, recorded, messages)
+        found, last = _compare_topic(topic, self._as_now(recorded), messages)
         if self.begins_late and not failure and not found.equivalent:
             return replace(found, not_recomputed=self._from_before(topic, messages, last))
         after = self._counts[topic] - len(recorded)
@@ -459,6 +459,15 @@ class _Recording:
             why = '' if found.identical < len(recorded) and not failure else why
         left_out = bool(messages and self._publishers) and topic not in self._kinds
         return replace(found, not_recomputed=why, left_out=left_out)
+
+    def _as_now(self, raw: list[tuple[str, bytes]]) -> list[tuple[str, bytes]]:
+        """Return messages as the current message set has them; what it added is unknown there."""
+        newer = {kind: self._decoder.current(kind) for kind, _ in raw}
+        found = []
+        for kind, payload in raw:
+            upgrade = newer[kind]
+            found.append((kind, payload if upgrade is None else upgrade(payload)))
+        return found
 
     def _from_before(self, topic: str, messages: list[_Output], last: int) -> str:
         """Say how far a difference may come from a state that began before the bag; empty if not.

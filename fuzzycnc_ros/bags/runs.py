@@ -16,6 +16,7 @@ from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.components.thermal.control_drives import drives_at, drives_told
 from fuzzycnc_ros.components.thermal.predictor_stream import STATE, TOPICS, speed_told, speeds_at
 from fuzzycnc_ros.core.names import repeated_names
+from fuzzycnc_ros.core.thermal.places import along_axes, place_channels
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun, counted
 from fuzzycnc_ros.core.thermal.sensor_limits import SensorLimits
 from fuzzycnc_ros.runtime.convert import stamp_of
@@ -57,6 +58,7 @@ def read_run(
     compensated: bool = False,
     sensors: Callable[[str], bool] | None = None,
     sensor_limits: Iterable[str] = (),
+    places: bool = False,
 ) -> ThermalRun:
     """Read a thermal run from a bag.
 
@@ -85,6 +87,9 @@ def read_run(
     sensor_limits : iterable of str
         Limits of sensors that are not those of a machine's metal, such as `bed:rate_max:0.7`; see
         `SensorLimits`.
+    places : bool
+        Whether an axis that was measured at several places has a channel for each of them,
+        instead of offset, slope and bend; see `core.thermal.places`.
 
     Returns
     -------
@@ -116,7 +121,7 @@ def read_run(
         )
         sources = speed_topics(reader, machine if namespace is None else namespace)
         temperature = Samples(source, topic, ('sensor',), 'sensor')
-        moving = Samples(source, other, ('axis', 'channel'), 'channel')
+        moving = Displacements(source, other)
         told: list[tuple[str, int, float]] = []
         driven: list[tuple[int, dict[str, float], dict[str, float]]] = []
         for kind, _, _, message in reader.messages([topic, other, *sources]):  # one pass
@@ -134,10 +139,13 @@ def read_run(
                         f'{_seconds(_stamp(message))} s compensation was active; use a run '
                         'without it'
                     )
-                moving.add(message, message.displacement)
+                moving.take(message)
     measured, moved = temperature.series(), moving.series()
     time = (measured.stamp - measured.stamp[0]) / 1e9
     joined = _join(measured.stamp, moved, average)
+    axis, channel = moved.names
+    if not places:
+        axis, channel, joined = along_axes(time, axis, channel, moving.position, joined)
     speed = speeds_at(measured.stamp, told)
     inside = (time >= (-np.inf if start is None else start)) & (
         time <= (np.inf if stop is None else stop)
@@ -173,8 +181,8 @@ def read_run(
             time=time[used],
             sensor=tuple(compress(measured.names[0], wanted)),
             temperature=measured.values[np.ix_(used, wanted)],
-            channel=moved.names[1],
-            axis=moved.names[0],
+            channel=channel,
+            axis=axis,
             displacement=joined[used],
             spindle_speed=None if speed is None else speed[used],
             drives={name: v[used] for name, v in drives_at(measured.stamp, driven).items()},
@@ -346,6 +354,73 @@ class Samples:
             )
         names = tuple(tuple(entry) for entry in self._names)
         return Series(stamp, names, np.array(self._rows, dtype=np.float64))
+
+
+class Displacements(Samples):
+    """The displacements of a topic as they come, each with the place where it was measured.
+
+    Where places are told, an axis may be measured at one after the other: each place is a channel
+    of its own, and a message may hold some of them only.
+    """
+
+    def __init__(self, path: Path, topic: str) -> None:
+        super().__init__(path, topic, ('axis', 'channel'), 'channel')
+        self._places: dict[tuple[str, float], int] = {}
+        self._told: list[tuple[int, list[tuple[str, float]], NDArray[np.float64]]] = []
+
+    def take(self, message: Any, values: NDArray[np.float64] | None = None) -> None:
+        """Take a message, or values of it that are parallel to its displacements."""
+        values = message.displacement if values is None else values
+        position = np.asarray(message.position, dtype=np.float64)
+        if not np.isfinite(position).any() and not self._told:
+            self.add(message, values)
+            return
+        if self._stamps:
+            raise RunError(
+                f'{self._where}: expected a position in every message but at stamp '
+                f'{_seconds(_stamp(message))} s they begin, or end; cut the bag there'
+            )
+        if not len(position) == len(message.axis) == len(values):
+            raise BagDataError(
+                f'{self._where}: expected {len(message.axis)} entries, one per axis, but found '
+                f'{len(position)} at stamp {_seconds(_stamp(message))} s'
+            )
+        # NaN is no key; a place is one to the millimetre.
+        keys = [
+            (str(name), round(float(place), 3) + 0.0 if np.isfinite(place) else np.inf)
+            for name, place in zip(message.axis, position, strict=True)
+        ]
+        for key in keys:
+            self._places.setdefault(key, len(self._places))
+        self._told.append((_stamp(message), keys, values))
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Where each column was measured [m]; NaN where that is not told."""
+        if not self._told:
+            return np.full(len(self._names[0]), np.nan)
+        found = np.array([place for _, place in self._order])
+        return np.where(np.isfinite(found), found, np.nan)
+
+    @property
+    def _order(self) -> list[tuple[str, float]]:
+        """Axes and places, those of an axis from its low end on."""
+        axes = list(dict.fromkeys(axis for axis, _ in self._places))
+        return sorted(self._places, key=lambda key: (axes.index(key[0]), key[1]))
+
+    def series(self) -> Series:
+        """Return all samples."""
+        if not self._told:
+            return super().series()
+        order = self._order
+        axis = tuple(name for name, _ in order)
+        self._names = [list(axis), list(place_channels(axis, self.position))]
+        for stamp, keys, values in self._told:
+            row = np.full(len(order), np.nan)
+            row[[order.index(key) for key in keys]] = values
+            self._stamps.append(stamp)
+            self._rows.append(row)
+        return super().series()
 
 
 def speed_topics(reader: BagReader, machine: str) -> dict[str, str]:

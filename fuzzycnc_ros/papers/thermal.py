@@ -7,6 +7,7 @@ from functools import partial
 from types import MappingProxyType
 
 from fuzzycnc_ros.core.thermal.fit.candidates import CONTENDERS, Contender
+from fuzzycnc_ros.core.thermal.fit.training import DRIVEN
 from fuzzycnc_ros.papers.grey import GreyVariant
 from fuzzycnc_ros.papers.learners import GaussianProcess, Mlp
 from fuzzycnc_ros.papers.names import COMPARED
@@ -27,6 +28,6 @@ _RIVALS = {
 }
 
 ALL_CONTENDERS: Mapping[str, Contender] = MappingProxyType(
-    {name: {**CONTENDERS, **_RIVALS}[name] for name in COMPARED}
+    {name: {**CONTENDERS, **_RIVALS}[name] for name in (*COMPARED, DRIVEN)}
 )
 """How each model that is compared is fitted, in the order of tables."""

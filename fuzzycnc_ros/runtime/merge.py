@@ -41,14 +41,17 @@ higher ones."""
 
 PARALLEL: dict[type[Any], dict[str, tuple[str, ...]]] = {
     AxisState: {'axis': ('reference', 'position', 'velocity')},
-    CompensationApplied: {'axis': ('offset', 'at_limit')},
+    CompensationApplied: {'axis': ('offset', 'at_limit', 'slope', 'position')},
     Displacement: {'axis': ('channel', 'displacement', 'standard_deviation', 'position')},
     MachineState: {'axis': ('position', 'travel', 'square_speed')},
     PredictorState: {'input': ('last_rise',)},
     SensorCluster: {'member': ('score',), 'substitute': ('gain', 'correlation')},
     Temperatures: {'sensor': ('temperature', 'status')},
     ThermalError: {
-        'axis': ('channel', 'error', 'standard_deviation'),
+        'axis': (
+            *('channel', 'error', 'standard_deviation'),
+            *('slope', 'slope_deviation', 'reference_position', 'line_deviation'),
+        ),
         'substituted': ('substitute',),
     },
     ProbeCycleState: {'zero': ('size', 'noise')},

@@ -35,6 +35,13 @@ def nanoseconds(duration: float) -> int:
     return round(duration * SECOND)
 
 
+def _fill(record: 'Record', *names: str, value: float = np.nan) -> None:
+    """Let arrays that a record leaves out hold one value for each of its axes."""
+    for name in names:
+        if not len(getattr(record, name)):
+            object.__setattr__(record, name, np.full(len(record.axis), value))  # type: ignore[attr-defined]
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Record:
     """Base of all records that travel on a topic."""
@@ -120,6 +127,14 @@ class ThermalError(Record):
     model: str
     substituted: Names
     substitute: Names
+    slope: Floats = field(default_factory=lambda: np.zeros(0))
+    slope_deviation: Floats = field(default_factory=lambda: np.zeros(0))
+    reference_position: Floats = field(default_factory=lambda: np.zeros(0))
+    line_deviation: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        """Take what is left out as unknown, in messages too."""
+        _fill(self, 'slope', 'slope_deviation', 'reference_position', 'line_deviation')
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -178,8 +193,7 @@ class Displacement(Record):
 
     def __post_init__(self) -> None:
         """Take a position that is left out as an unknown one, in messages too."""
-        if not len(self.position):
-            object.__setattr__(self, 'position', np.full(len(self.axis), np.nan))
+        _fill(self, 'position')
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -264,6 +278,13 @@ class CompensationApplied(Record):
     axis: Names
     offset: Floats
     at_limit: Bools
+    slope: Floats = field(default_factory=lambda: np.zeros(0))
+    position: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        """Take a slope that is left out as none, a position as unknown, in messages too."""
+        _fill(self, 'slope', value=0.0)
+        _fill(self, 'position')
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -286,9 +307,7 @@ class MachineState(Record):
 
     def __post_init__(self) -> None:
         """Take what is left out as unknown, in messages too."""
-        for name in ('travel', 'square_speed'):
-            if not len(getattr(self, name)):
-                object.__setattr__(self, name, np.full(len(self.axis), np.nan))
+        _fill(self, 'travel', 'square_speed')
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

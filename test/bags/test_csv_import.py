@@ -424,6 +424,60 @@ def test_rows_of_the_spindle_recording(data, tmp_path):
     np.testing.assert_allclose(run.time, raw['t'][5791:] - raw['t'][5791])
 
 
+def along_x(time):
+    """Return what an axis is off at -400, -200 and 0 mm after a time [s], in um."""
+    return [-0.4 * time, -0.1 * time, 0.05 * time]
+
+
+def assert_line(run, rows):
+    """Hold a run to offset, slope and bend of `along_x`."""
+    assert run.channel == ('X', 'X slope -400..0 mm', 'X bend -400..0 mm')
+    time = run.time[rows]
+    low, middle, high = 1e-6 * np.array(along_x(time))
+    expected = [(low + 2 * middle + high) / 4, (high - low) / 2, middle - (low + high) / 2]
+    np.testing.assert_allclose(run.displacement[rows], np.transpose(expected), atol=1e-12)
+
+
+def test_one_column_for_each_position(importing):
+    cells = [['t', 'a', 'far', 'mid', 'near']]
+    cells += [[str(30 * k), '20.0', *map(str, along_x(30 * k))] for k in range(20)]
+    mapping = CsvMapping(
+        time='t',
+        temperatures=['a'],
+        displacements=['far=X:um@-400mm', 'mid=X:um@-0.2m', 'near=X:um@0mm'],
+    )
+    assert_line(read_run(importing(cells, mapping).path), slice(0, 20))
+
+
+def test_a_column_that_tells_the_position(importing):
+    cells = [['t', 'a', 'err', 'pos']]
+    for k in range(30):
+        place = k % 3
+        cells.append(
+            [str(30 * k), '20.0', str(along_x(30 * k)[place]), str((-400, -200, 0)[place])]
+        )
+    mapping = CsvMapping(time='t', temperatures=['a'], displacements=['err=X:um@pos:mm'])
+    bag = importing(cells, mapping).path
+    assert_line(read_run(bag), slice(2, 28))
+    places = read_run(bag, places=True)
+    assert places.channel == ('X@-400mm', 'X@-200mm', 'X@0mm')
+    assert np.isfinite(places.displacement).sum(axis=0).tolist() == [10, 10, 10]
+
+
+@pytest.mark.parametrize('text', ['ch=X:um@-400', 'ch=X:um@-400inch', 'ch=X:um@4.0.0mm'])
+def test_a_position_needs_a_number_and_a_unit(text):
+    with pytest.raises(CsvError, match=r'displacement|position of column'):
+        CsvMapping(time='t', temperatures=['a'], displacements=[text])
+
+
+def test_a_column_of_positions_without_places_is_refused(importing):
+    cells = [['t', 'a', 'err', 'pos']]
+    cells += [[str(30 * k), '20.0', '1', str(7 * k)] for k in range(30)]
+    mapping = CsvMapping(time='t', temperatures=['a'], displacements=['err=X:um@pos:mm'])
+    with pytest.raises(CsvError, match=r"column 'pos': expected positions of 1 to 20 places"):
+        importing(cells, mapping)
+
+
 def test_what_else_a_control_told_comes_back_as_it_was(importing, tmp_path):
     head = ['t', 'a', 'ch', 'moved', 'load', 'cool']
     load = [f'{0.1 * (row % 5):.1f}' for row in range(20)]

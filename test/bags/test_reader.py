@@ -36,7 +36,13 @@ from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.typestore import deserialize, serialize
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.runtime.convert import decode
-from fuzzycnc_ros.runtime.records import Displacement, MachineState
+from fuzzycnc_ros.runtime.provenance import MESSAGE_SET
+from fuzzycnc_ros.runtime.records import (
+    CompensationApplied,
+    Displacement,
+    MachineState,
+    ThermalError,
+)
 
 SECOND = 10**9
 PY = 'rosbag2_py/test/resources'
@@ -497,8 +503,9 @@ def rewrite_definition(bag, tmp_path, version, change):
 
 
 def test_bag_of_a_newer_message_set_is_refused(small_bag, tmp_path):
-    newer = rewrite_definition(small_bag, tmp_path, 3, str)
-    with pytest.raises(BagVersionError, match=r'expected message set 2 or older but found 3'):
+    newer = rewrite_definition(small_bag, tmp_path, MESSAGE_SET + 1, str)
+    refused = f'expected message set {MESSAGE_SET} or older but found {MESSAGE_SET + 1}'
+    with pytest.raises(BagVersionError, match=refused):
         BagReader(newer)
 
 
@@ -555,7 +562,7 @@ def without_version(bag, target):
 def test_a_displacement_of_set_1_was_measured_at_the_reference_position(tmp_path, stated):
     bag = GOLDEN if stated else without_version(GOLDEN, tmp_path / 'bare.mcap')
     with BagReader(bag) as reader:
-        assert reader.message_set == (1 if stated else 2)
+        assert reader.message_set == (1 if stated else MESSAGE_SET)
         found = [decode(Displacement, m.message) for m in reader.messages(['/mill/displacement'])]
         assert len(found) == 60
         assert all(item.displacement.shape == (2,) for item in found)
@@ -571,6 +578,19 @@ def test_a_displacement_of_set_1_was_measured_at_the_reference_position(tmp_path
             decode(MachineState, m.message) for m in reader.messages(['/mill/machine_state'])
         ]
     assert states
+    with BagReader(bag) as reader:
+        errors = [
+            decode(ThermalError, m.message) for m in reader.messages(['/mill/thermal_error'])
+        ]
+        told = [
+            decode(CompensationApplied, m.message)
+            for m in reader.messages(['/mill/compensation_applied'])
+        ]
+    assert len(errors) == 60
+    assert all(np.isnan(item.slope).all() and len(item.slope) == 2 for item in errors)
+    assert all(np.isnan(item.reference_position).all() for item in errors)
+    assert told
+    assert not any(item.slope.any() for item in told)
     assert all(state.coolant == 0 and np.isnan(state.travel).all() for state in states)
 
 

@@ -15,8 +15,9 @@ from fuzzycnc_ros.adapters.controller_bridge import (
     ControllerBridgeConfig,
 )
 from fuzzycnc_ros.adapters.opcua.hand_shake import HandShake, WriterWatch
-from fuzzycnc_ros.adapters.opcua.offset_lines import LineOrders, Lines, LineStatus
+from fuzzycnc_ros.adapters.opcua.offset_lines import LineOrders, LineStatus
 from fuzzycnc_ros.core.config import param
+from fuzzycnc_ros.core.inputs.lines import Lines
 from fuzzycnc_ros.core.inputs.offset_input import content_refusal
 from fuzzycnc_ros.core.inputs.offsets import describe
 from fuzzycnc_ros.runtime.component import Emission

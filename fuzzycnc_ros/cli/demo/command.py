@@ -9,6 +9,7 @@ from typing import Annotated, Optional
 
 import typer
 
+from fuzzycnc_ros.cli.demo.axis import axis
 from fuzzycnc_ros.cli.demo.contour import contour
 from fuzzycnc_ros.cli.demo.learn import learn
 from fuzzycnc_ros.cli.demo.linuxcnc import linuxcnc_demo
@@ -28,6 +29,7 @@ class Scenario(str, Enum):
 
     thermal = 'thermal'
     learn = 'learn'
+    axis = 'axis'
     contour = 'contour'
     pattern = 'pattern'
     shift = 'shift'
@@ -67,6 +69,11 @@ def demo(
 
         fuzzycnc demo --scenario learn --out build/learn
 
+    Or watch a mill without linear scales, whose largest error lies along its axes: ball screws
+    warm up by their own motion, and offset and slope of each axis are compensated:
+
+        fuzzycnc demo --scenario axis --out build/axis
+
     Or watch its axes follow a curve at a contour error of 0.05 mm: the feed is scheduled, sent
     as a trajectory, and followed every millisecond:
 
@@ -103,6 +110,7 @@ def demo(
         run: dict[Scenario, Play] = {
             Scenario.thermal: thermal,
             Scenario.learn: learn,
+            Scenario.axis: axis,
             Scenario.contour: contour,
             Scenario.pattern: pattern,
             Scenario.shift: partial(whole_shift, program=text),

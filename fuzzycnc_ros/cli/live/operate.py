@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import fields
+from math import isnan
 from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
@@ -36,6 +37,8 @@ HELP = """Operate a running machine: status, activate, set limits, reference, pr
 `ros2 lifecycle`, `ros2 param` and `ros2 service` do the same where they are installed.
 """
 
+POSITION_MAX = 100.0
+"""Largest position of an axis [m]; beyond it a unit was mixed up."""
 PATIENCE = 6.0
 """Wall time [s] until a node must answer: those of this host are found within one."""
 LISTENING = 2.5
@@ -227,7 +230,10 @@ def reference(
 def probe(
     values: Annotated[
         list[str],
-        typer.Argument(metavar='AXIS=LENGTH...', help='Such as Y=-3um Z=0.012mm.'),
+        typer.Argument(
+            metavar='AXIS=LENGTH[@POSITION]...',
+            help='Such as Y=-3um Z=0.012mm, or X=3um@-400mm X=-52um@0mm.',
+        ),
     ],
     deviation: Annotated[
         Optional[str],  # noqa: UP045 - typer 0.9 does not read the newer form
@@ -245,7 +251,12 @@ def probe(
     message says whether compensation was in force. A calibration run can be recorded this way,
     and the predictor learns from it if its parameter `learn` is set.
 
+    Where the error of an axis depends on its position, say where that was measured, in machine
+    coordinates: two places tell offset and slope, a third one between them how far that is from
+    a line.
+
         fuzzycnc operate probe Y=-3um Z=12um --deviation 1um
+        fuzzycnc operate probe X=3um@-400mm X=-52um@0mm
     """
     found = _displacements(values)
     spread = float('nan')
@@ -259,7 +270,7 @@ def probe(
         operator.pause(LISTENING)
         check_unprobed(machine, operator.has_publisher)
         applied = _applied(operator)
-        includes = applied is not None and bool(applied.offset.any())
+        includes = applied is not None and bool(applied.offset.any() or applied.slope.any())
         record = probe_record(machine, found, spread, compensated=includes)
         try:
             readers = operator.publish(record, 'displacement')
@@ -267,6 +278,9 @@ def probe(
             raise GraphError(
                 f'{error}; a recorder or the predictor of {machine} must be running'
             ) from error
+    for axis, _, place in found:
+        if not isnan(place):
+            say(f'{axis}: at {1e3 * place:g} mm in machine coordinates')
     say(
         f'sent to {readers} node{"s" if readers > 1 else ""} of /{machine}, '
         f'{"with" if includes else "without"} compensation in force'
@@ -366,19 +380,34 @@ def _now(operator: 'Operator') -> int:
     return time.time_ns()
 
 
-def _displacements(values: list[str]) -> dict[str, float]:
-    """Return displacements [m] by axis."""
-    found: dict[str, float] = {}
+def _displacements(values: list[str]) -> list[tuple[str, float, float]]:
+    """Return axis, displacement [m] and position [m] of each value; NaN where none is told."""
+    found: list[tuple[str, float, float]] = []
     for text in words(values):
-        axis, equals, length = text.partition('=')
+        axis, equals, rest = text.partition('=')
         if not (equals and axis):
             raise ValueError(f'probe: expected AXIS=LENGTH such as Z=12um but found {text!r}')
-        if axis in found:
-            raise ValueError(f'probe: expected each axis once but found {axis} twice')
-        sign = -1.0 if length.startswith('-') else 1.0
-        size = quantity(axis, length.removeprefix('-'), LENGTHS, example='-3um', zero=True)
-        found[axis] = sign * size
+        length, at, where = rest.partition('@')
+        place = _signed(axis, where, '-400mm') if at else float('nan')
+        if at and not abs(place) <= POSITION_MAX:
+            raise ValueError(
+                f'{axis}: expected a position within {POSITION_MAX:g} m in machine coordinates '
+                f'but found {where!r}'
+            )
+        others = [item for item in found if item[0] == axis]
+        if any(item[2] == place or not at or isnan(item[2]) for item in others):
+            raise ValueError(
+                f'probe: expected each axis once, or at places of its own such as '
+                f'{axis}=3um@-400mm {axis}=-52um@0mm, but found {axis} twice'
+            )
+        found.append((axis, _signed(axis, length, '-3um'), place))
     return found
+
+
+def _signed(axis: str, text: str, example: str) -> float:
+    """Return a length with a sign [m]."""
+    sign = -1.0 if text.startswith('-') else 1.0
+    return sign * quantity(axis, text.removeprefix('-'), LENGTHS, example=example, zero=True)
 
 
 def _nobody(machine: str) -> str:

@@ -98,6 +98,8 @@ def _axes(view: Mapping[str, Any]) -> list[Text]:
         if axis['limited']:
             line.append(f'  {" ".join(axis["limited"])}', style='bold yellow')
         lines.append(line)
+        if axis['along'] is not None:
+            lines.append(Text(_along(axis['along']), style='dim'))
         probe = axis['probe']
         if probe is not None:
             age = '' if probe['age'] is None else f' {_duration(probe["age"])} ago'
@@ -106,6 +108,17 @@ def _axes(view: Mapping[str, Any]) -> list[Text]:
             probes.append(f'{told} (predicted {predicted} um){age}')
     lines.append(Text('last probe: ' + ('; '.join(probes) or 'none')))
     return lines
+
+
+def _along(along: Mapping[str, Sequence[float | None]]) -> str:
+    """Return error with its widest band, and offset, from one end of an axis to the other."""
+    error, offset = (
+        ' '.join(_micro(value, '+.1f') or '?' for value in along[name])
+        for name in ('error', 'offset')
+    )
+    low, high = (1e3 * (along['position'][at] or 0.0) for at in (0, -1))
+    band = _micro(max(value or 0.0 for value in along['band']), '.1f')
+    return f'  from {low:.0f} to {high:.0f} mm: error {error} ±{band} um, offset {offset}'
 
 
 def _probing(probing: Mapping[str, Any] | None) -> list[Text]:

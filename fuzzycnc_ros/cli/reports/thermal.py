@@ -125,6 +125,7 @@ def thermal(
     from fuzzycnc_ros.studies.thermal_test.phases import find_phases
     from fuzzycnc_ros.studies.thermal_test.recording import read_test
     from fuzzycnc_ros.studies.thermal_test.report import (
+        axes_table,
         budget_remarks,
         budget_table,
         figures_document,
@@ -156,6 +157,9 @@ def thermal(
     say('')
     say(how_remark(test))
     say('')
+    along = axes_table(test)
+    if along is not None:
+        show(along)
     show(budget_table(test))
     for text in budget_remarks(test):
         say(text)

@@ -10,7 +10,7 @@ that does not step; a simulated machine may run at any speed against it.
 import json
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
-from math import isfinite
+from math import hypot, isfinite
 from statistics import median
 from typing import Any
 
@@ -24,6 +24,7 @@ from fuzzycnc_ros.components.dashboard.history import History
 from fuzzycnc_ros.components.dashboard.node_report import NodeReport
 from fuzzycnc_ros.components.dashboard.trend import Trend
 from fuzzycnc_ros.components.dashboard.values import finite, number, value_of, word
+from fuzzycnc_ros.core.inputs.lines import read_travel
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.enums import (
@@ -573,6 +574,41 @@ class MachineView:
             'limited': limited,
             'probe': None if probe is None else self._probe(*probe),
             'stable_in': stable_in,
+            'along': self._along(axis, told, error),
+        }
+
+    def _along(self, axis: str, told: Any, error: Any) -> dict[str, list[float | None]] | None:
+        """Return error, band and offset at both ends and the middle of an axis that slopes."""
+        if error is None or not error.valid or axis not in error.axis:
+            return None
+        number = error.axis.index(axis)
+        slope, reference = float(error.slope[number]), float(error.reference_position[number])
+        travel = self.parameter('compensator', 'travel')
+        texts = travel if isinstance(travel, (list, tuple)) else ()
+        try:
+            own = [str(text) for text in texts if str(text).startswith(f'{axis}:')]
+            found = read_travel(own, [axis], 'travel')
+        except ValueError:
+            return None
+        if not (isfinite(slope) and isfinite(reference) and found.sloping[0]):
+            return None
+        low, high = float(found.low[0]), float(found.high[0])
+        places = [low, 0.5 * (low + high), high]
+        steep = float(error.slope_deviation[number])
+        steep = steep if isfinite(steep) else 0.0
+        spread = float(error.standard_deviation[number])
+        offset: list[float | None] = [None, None, None]
+        if told is not None and axis in told.axis:
+            at = told.axis.index(axis)
+            offset = [
+                finite(told.offset[at] + told.slope[at] * (x - told.reference_position[at]))
+                for x in places
+            ]
+        return {
+            'position': [finite(place) for place in places],
+            'error': [finite(error.error[number] + slope * (x - reference)) for x in places],
+            'band': [finite(2.0 * hypot(spread, steep * (x - reference))) for x in places],
+            'offset': offset,
         }
 
     def _probe(self, stamp: int, measured: float, predicted: float | None) -> dict[str, Any]:

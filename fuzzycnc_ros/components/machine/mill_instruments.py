@@ -66,6 +66,16 @@ class MillInstruments:
         of_screws = screws.sensors if screws is not None else ()
         self._faults = tuple(fault for fault in faults if fault.sensor not in of_screws)
         self._screw_faults = tuple(fault for fault in faults if fault.sensor in of_screws)
+        sensor = (*MILL_SENSORS, *of_screws)
+        wanted = config.sensors or sensor
+        unknown = [name for name in wanted if name not in sensor]
+        if unknown or len(set(wanted)) != len(wanted):
+            raise ValueError(
+                f'sensors: expected some of {sensor[0]} to {sensor[-1]}, each once, but found '
+                f'{", ".join(unknown or wanted)}'
+            )
+        self._sensor = wanted
+        self._columns = [sensor.index(name) for name in wanted]
         self.axes = MILL_AXES if screws is None else screws.with_axes(MILL_AXES)
         """Axes that are measured, and take offsets."""
         self._mill: ThermalMill
@@ -105,16 +115,15 @@ class MillInstruments:
         if since % interval < nanoseconds(self._config.tick_period):
             yield Emission('displacement', self._displacement(stamp, workpiece, offset))
         reading = self._mill.read()
-        sensor = MILL_SENSORS
         if self._screws is not None:
             reading = np.concatenate([reading, self._screws.read()])
-            sensor += self._screws.sensors
+        reading = reading[self._columns]
         yield Emission(
             'sensor_readings',
             Temperatures(
                 stamp=stamp,
                 frame_id=frame_id,
-                sensor=sensor,
+                sensor=self._sensor,
                 temperature=reading,
                 status=np.where(np.isfinite(reading), 0, 1).astype(np.uint8),
                 readings=1,
@@ -276,6 +285,8 @@ class Warmth(MillInstruments):
             axis=self.axes,
             offset=self.offsets.applied,
             at_limit=self.offsets.at_limit,
+            slope=self.offsets.slope,
+            position=self.offsets.position,
         )
         return Emission('compensation_applied', applied)
 

@@ -54,6 +54,7 @@ class SimulatedBodyConfig(Config):
     rate: float = param(1.0, '-', 'Speed of machine time; 1 is real time', low=0.01, high=1e4)
     displacement_interval: float = same_param(SimulatedMachineConfig, 'displacement_interval')
     displacement_noise: float = same_param(SimulatedMachineConfig, 'displacement_noise')
+    sensors: tuple[str, ...] = same_param(SimulatedMachineConfig, 'sensors')
     sensor_faults: tuple[str, ...] = same_param(SimulatedMachineConfig, 'sensor_faults')
     nodes: tuple[str, ...] = param(
         (

@@ -125,6 +125,11 @@ class SimulatedMachineConfig(Config):
         '-',
         'Measure the machine as it is, offsets in force included; else without its offsets',
     )
+    sensors: tuple[str, ...] = param(
+        (),
+        '-',
+        'Temperature sensors that it has, of T1 to T76 and those of its screws; () for all',
+    )
     sensor_faults: tuple[str, ...] = param(
         (), '-', 'Sensor faults as sensor:kind:start[:value], start in s after a duty began'
     )

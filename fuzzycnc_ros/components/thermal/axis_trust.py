@@ -68,14 +68,15 @@ class AxisTrust:
         first_share: float,
         wait: float,
     ) -> Floats:
-        """Return the part of the error (c,) [m] that is to be taken off, shape (c,) [m].
+        """Return the share of each error that is to be taken off, shape (c,) [-].
 
         Parameters
         ----------
         stamp : int
             Machine time [ns].
         error, deviation : ndarray, shape (c,)
-            Thermal error and its standard deviation [m]; NaN where that is not known.
+            Thermal error and its standard deviation [m], of an axis along which it slopes where
+            it is largest; NaN where that is not known.
         band_share : float
             Half width of the band over what is taken off, up to which an axis begins to be
             followed; it is no longer where the band is wider than that [-].  0 follows all.
@@ -103,7 +104,7 @@ class AxisTrust:
         if first_share < 1.0:
             self._take_turns(size)
         self._turn_to(np.where(self._known, self._part, 0.0), stamp, wait)
-        return np.asarray(np.where(self._share > 0.0, self._share * error, 0.0))
+        return np.where(self._share > 0.0, self._share, 0.0)
 
     def _turn_to(self, wanted: Floats, stamp: Stamp, wait: float) -> None:
         """Follow the wanted shares (c,), those that change once no program is disturbed."""

@@ -3,8 +3,9 @@
 """Component `compensator`: thermal error in, limited and expiring offsets out.
 
 It is the only source of offsets.  What it publishes is minus the error, cut at a size limit,
-moving no faster than a slew limit and valid for a limited time.  When the error is late,
-invalid or out of domain it holds, then ramps to zero; it never steps.
+moving no faster than a slew limit and valid for a limited time.  Where the travel of an axis is
+known its offset may slope: the limits then hold at both ends of the travel, and so between them.
+When the error is late, invalid or out of domain it holds, then ramps to zero; it never steps.
 """
 
 from collections.abc import Iterator, Mapping
@@ -15,6 +16,7 @@ import numpy as np
 
 from fuzzycnc_ros.components.thermal.axis_trust import AxisTrust
 from fuzzycnc_ros.core.config import Config, param
+from fuzzycnc_ros.core.inputs.lines import Lines, read_travel
 from fuzzycnc_ros.core.inputs.offsets import AXES, EPOCH_STEP, NEGLIGIBLE, describe
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
@@ -35,6 +37,7 @@ from fuzzycnc_ros.runtime.enums import (
 )
 from fuzzycnc_ros.runtime.records import (
     SECOND,
+    Bools,
     Compensation,
     CompensationApplied,
     Floats,
@@ -66,8 +69,22 @@ class CompensatorConfig(Config):
         high=1e-2,
         live=True,
     )
+    travel: tuple[str, ...] = param(
+        (),
+        '-',
+        'Both ends of the travel of axes whose offset may slope along it, in m, as Y:-0.5:0; '
+        'others get one offset everywhere',
+    )
+    slope_max: float = param(
+        500e-6, '-', 'Largest offset per length of travel', low=0.0, high=0.01, live=True
+    )
     slew_max: float = param(
-        0.1e-6, 'm/s', 'Fastest change of an offset', low=1e-9, high=1e-3, live=True
+        0.2e-6,
+        'm/s',
+        'Fastest change of an offset at any place of the travel',
+        low=1e-9,
+        high=1e-3,
+        live=True,
     )
     ramp_rate: float = param(
         0.1e-6, 'm/s', 'Speed at which offsets go to zero; not above slew_max', low=1e-9, high=1e-3
@@ -111,7 +128,10 @@ class CompensatorConfig(Config):
     )
 
 
-GUARDS = ('offset_max', 'error_max', 'slew_max')
+ROUNDED = 1e-9
+"""Difference between offsets at the end of a travel that is rounding of their line [m]."""
+
+GUARDS = ('offset_max', 'error_max', 'slew_max', 'slope_max')
 """Limits within which an operator has allowed offsets."""
 
 
@@ -142,14 +162,21 @@ class Compensator(Component[CompensatorConfig]):
         self._followed = False  # whether the machine has followed this epoch
         self._rival = 0  # epoch of another owner whom the machine follows
         self._told_at = self._told_epoch = 0
-        self._offset = np.zeros(len(self._axes))
-        self._target = np.zeros(len(self._axes))
+        self._travel = read_travel(self._config.travel, self._axes, 'travel')
+        self._reference = np.where(
+            self._travel.sloping, 0.5 * (self._travel.low + self._travel.high), 0.0
+        )
+        # Offsets and what they go to at the lower ends of the travel, then at the upper ones.
+        self._ends = np.zeros(2 * len(self._axes))
+        self._target = np.zeros(2 * len(self._axes))
+        self._unsloped = ''
         self._moved_at = 0
         self._good_at: int | None = None
         self._bad_since: int | None = None
         self._wake_at: int | None = None
         self._at_limit = np.zeros(len(self._axes), bool)
         self._slewing = np.zeros(len(self._axes), bool)
+        self._steep = np.zeros(len(self._axes), bool)
         self._why = 'inactive'
         self._misread = ''
         self._widened: list[str] = []
@@ -173,6 +200,7 @@ class Compensator(Component[CompensatorConfig]):
                 f'validity = {config.validity} s must not be shorter than '
                 f'period = {config.period} s, or every offset expires on the machine'
             )
+        read_travel(config.travel, config.axes, 'travel')
 
     def reconfigure(self, config: CompensatorConfig) -> None:
         """Take new limits; they act from the next update on, within the slew limit.
@@ -200,14 +228,7 @@ class Compensator(Component[CompensatorConfig]):
             return
         self._why = self._refusal(error)
         if not self._why:
-            self._target = -self._trust.follow(
-                error.stamp,
-                self._of_axes(error, error.error),
-                self._of_axes(error, error.standard_deviation),
-                self._config.band_share,
-                self._config.first_share,
-                self._config.program_wait if self._program_runs(error.stamp) else 0.0,
-            )
+            self._aim(error)
             self._good_at = error.stamp
             self._bad_since = None
         elif self._bad_since is None:
@@ -216,6 +237,45 @@ class Compensator(Component[CompensatorConfig]):
             self._yield_to(self._rival)
             return
         yield self._update(error.stamp)
+
+    def _aim(self, error: ThermalError) -> None:
+        """Set the target by an error that may be followed."""
+        lines, ends = self._lines(error)
+        deviation = self._of_axes(error, error.standard_deviation)
+        steep = self._of_axes(error, error.slope_deviation)
+        low, high = np.split(ends, 2)
+        far = np.where(np.abs(high) > np.abs(low), self._travel.high, self._travel.low)
+        spread = np.nan_to_num(steep) * (far - lines.reference_position)
+        sloping = lines.slope != 0.0
+        share = self._trust.follow(
+            error.stamp,
+            np.where(np.abs(high) > np.abs(low), high, low),
+            np.where(sloping, np.hypot(deviation, spread), deviation),
+            self._config.band_share,
+            self._config.first_share,
+            self._config.program_wait if self._program_runs(error.stamp) else 0.0,
+        )
+        both = np.tile(share, 2)
+        self._reference = np.where(
+            np.isfinite(lines.reference_position), lines.reference_position, self._reference
+        )
+        self._target = -np.where(both > 0.0, both * ends, 0.0)
+
+    def _lines(self, error: ThermalError) -> tuple[Lines, Floats]:
+        """Return the errors of the axes as lines, and at the ends of their travels [m]."""
+        slope = np.nan_to_num(self._of_axes(error, error.slope))
+        reference = self._of_axes(error, error.reference_position)
+        known = np.isfinite(reference)
+        untold = (slope != 0.0) & ~(self._travel.sloping & known)
+        self._unsloped = ', '.join(np.array(self._axes)[untold])
+        most = self._config.slope_max
+        lines = Lines(
+            offset=self._of_axes(error, error.error),
+            slope=np.where(untold, 0.0, np.clip(slope, -most, most)),
+            reference_position=np.where(known, reference, self._reference),
+        )
+        self._steep = np.abs(slope) > most
+        return lines, self._travel.ends(lines)
 
     def on_probe_evidence(self, evidence: ProbeEvidence) -> None:
         """Note which axes probes under an offset have confirmed, for later errors.
@@ -285,9 +345,16 @@ class Compensator(Component[CompensatorConfig]):
         self._told_at = self._moved_at = record.stamp
         self._followed, self._rival = True, 0
         self._state = CompensationState(record.state)
-        self._offset, self._slewing = record.offset.copy(), record.slewing.copy()
-        self._at_limit = record.at_limit.copy()
-        self._trust.restore(record.offset != 0.0)
+        self._slewing, self._at_limit = record.slewing.copy(), record.at_limit.copy()
+        self._reference = record.reference_position.copy()
+        self._ends = self._travel.ends(
+            Lines(
+                offset=record.offset,
+                slope=record.slope,
+                reference_position=record.reference_position,
+            )
+        )
+        self._trust.restore((record.offset != 0.0) | (record.slope != 0.0))
         if self._state is CompensationState.ACTIVE:
             self._bad_since = None
         self._wake_at = self._following_deadline(record.stamp)
@@ -295,7 +362,7 @@ class Compensator(Component[CompensatorConfig]):
     @property
     def at_rest(self) -> bool:
         """Whether all offsets are zero and nothing is being followed."""
-        return not self._active and not np.any(self._offset)
+        return not self._active and not np.any(self._ends)
 
     def silence(self, name: str, last: Record) -> str:
         """Say which offsets stood when the machine was last heard: nobody may own them now."""
@@ -318,10 +385,14 @@ class Compensator(Component[CompensatorConfig]):
             CompensationState.RAMPING: Level.ERROR,
             CompensationState.EXPIRED: Level.ERROR,
         }[self._state]
+        lines = self._told_lines()
         values = {
             f'offset {axis} [um]': f'{1e6 * offset:.2f}'
-            for axis, offset in zip(self._axes, self._offset, strict=True)
+            for axis, offset in zip(self._axes, lines.offset, strict=True)
         }
+        for axis, slope, takes in zip(self._axes, lines.slope, self._travel.sloping, strict=True):
+            if takes:
+                values[f'slope {axis} [um/m]'] = f'{1e6 * slope:.1f}'
         text = self._state.name.lower() + (f': {self._why}' if self._why else '')
         items = [Health('state', level, text, values)]
         applied = self.last(self.APPLIED)
@@ -333,6 +404,12 @@ class Compensator(Component[CompensatorConfig]):
             items.append(Health('read-back', Level.ERROR, self._misread))
         if self._active:
             items += self._trust.health()
+        if self._active and self._unsloped:
+            text = (
+                f'the error of {self._unsloped} slopes along the axis and only what it is at the '
+                'reference position is followed; set travel, as Y:-0.5:0'
+            )
+            items.append(Health('travel', Level.WARN, text))
         for title, flags in (('size limit', self._at_limit), ('slew limit', self._slewing)):
             if flags.any():
                 named = ', '.join(np.array(self._axes)[flags])
@@ -362,7 +439,7 @@ class Compensator(Component[CompensatorConfig]):
         if self._rival:
             self._rival = 0
             self._state = CompensationState.INACTIVE
-            self._offset = np.zeros(len(self._axes))
+            self._ends = np.zeros(2 * len(self._axes))
             return Answer(True, 'inactive; another owner is followed')
         emissions = (self._update(stamp),) if self._epoch else ()
         return Answer(True, 'ramping to zero', emissions)
@@ -378,9 +455,9 @@ class Compensator(Component[CompensatorConfig]):
             self._epoch = max(self._epoch, applied.epoch) + 1
             self._moved_at = max(self._moved_at, applied.stamp)
         self._followed, self._rival = False, 0
-        self._offset = self._in_force(applied)
+        self._ends = self._in_force(applied)
         if self._good_at is None:
-            self._target = self._offset.copy()
+            self._target = self._ends.copy()
             self._bad_since = self._moved_at
         if self._wake_at is None:
             self._wake_at = self._moved_at + nanoseconds(self._config.period)
@@ -396,14 +473,21 @@ class Compensator(Component[CompensatorConfig]):
         )
 
     def _in_force(self, applied: CompensationApplied) -> Floats:
-        """Return the offset of each axis that a read-back tells [m], within the own limits."""
-        in_force = dict(zip(applied.axis, applied.offset, strict=True))
-        offset = np.array([in_force.get(axis, 0.0) for axis in self._axes])
-        return np.asarray(np.clip(offset, -self._config.offset_max, self._config.offset_max))
+        """Return the offsets at both ends that a read-back tells [m], within the own limits."""
+        table = (applied.offset, applied.slope, applied.position)
+        told = dict(zip(applied.axis, zip(*table, strict=True), strict=True))
+        nothing = (0.0, 0.0, np.nan)
+        offset, slope, position = np.array([told.get(axis, nothing) for axis in self._axes]).T
+        # A slope about a place that nobody knows is no slope.
+        slope = np.where(np.isfinite(position), slope, 0.0)
+        lines = Lines(offset=offset, slope=slope, reference_position=position)
+        limit = self._config.offset_max
+        return np.asarray(np.clip(self._travel.ends(lines), -limit, limit))
 
     def _agrees(self, applied: CompensationApplied) -> bool:
         """Whether the offsets in force are those that were told last."""
-        return np.array_equal(self._in_force(applied), self._offset)
+        apart = np.abs(self._in_force(applied) - self._ends)
+        return bool((apart <= np.tile(np.where(self._travel.sloping, ROUNDED, 0.0), 2)).all())
 
     @property
     def _doubt(self) -> str:
@@ -432,8 +516,12 @@ class Compensator(Component[CompensatorConfig]):
         if missing:
             return f'thermal error lacks axis {", ".join(missing)}'
         wild = ~(np.abs(error.error) <= self._config.error_max)  # true for NaN
+        names, values = np.array(error.axis), error.error
+        if not np.any(wild):
+            names, values = np.tile(self._axes, 2), self._lines(error)[1]
+            wild = ~(np.abs(values) <= self._config.error_max)
         if np.any(wild):
-            axis, value = np.array(error.axis)[wild][0], float(error.error[wild][0])
+            axis, value = names[wild][0], float(values[wild][0])
             return (
                 f'thermal error of {axis}: expected at most {1e6 * self._config.error_max:g} um, '
                 f'what error_max lets a model say, but found {1e6 * value:g} um'
@@ -459,10 +547,10 @@ class Compensator(Component[CompensatorConfig]):
         if self._state is CompensationState.ACTIVE:
             self._move(self._target, config.slew_max, stamp)
         elif self._state is CompensationState.HOLDING:
-            self._move(self._offset, config.slew_max, stamp)
+            self._move(self._ends, config.slew_max, stamp)
         else:
-            self._move(np.zeros(len(self._axes)), config.ramp_rate, stamp)
-            if not self._offset.any():
+            self._move(np.zeros(2 * len(self._axes)), config.ramp_rate, stamp)
+            if not self._ends.any():
                 at_zero = CompensationState.EXPIRED if self._active else CompensationState.INACTIVE
                 self._state = at_zero
         self._wake_at = self._following_deadline(stamp)
@@ -473,27 +561,30 @@ class Compensator(Component[CompensatorConfig]):
             return CompensationState.RAMPING
         if self._bad_since is None:
             return CompensationState.ACTIVE
-        if not self._offset.any():
+        if not self._ends.any():
             return CompensationState.EXPIRED
         if stamp - self._bad_since < nanoseconds(self._config.hold_time):
             return CompensationState.HOLDING
         return CompensationState.RAMPING
 
     def _move(self, target: Floats, rate: float, stamp: int) -> None:
-        """Move toward `target`, within the size limit and no faster than `rate` [m/s].
+        """Move the ends toward `target`, within the size limit and no faster than `rate` [m/s].
 
         Time at rest earns no credit: one update moves by at most one period's worth, so that
         the machine is never told a step after a pause.
         """
         limit = self._config.offset_max
         wanted = np.clip(target, -limit, limit)
-        self._at_limit = np.abs(target) > limit
+        self._at_limit = _either(np.abs(target) > limit)
+        if self._state is CompensationState.ACTIVE:
+            self._at_limit |= self._steep
         elapsed = min(max(stamp - self._moved_at, 0) / SECOND, self._config.period)
         step = rate * elapsed
-        change = np.clip(wanted - self._offset, -step, step)
-        self._slewing = np.abs(wanted - self._offset) > step
+        change = np.clip(wanted - self._ends, -step, step)
+        slewing = np.abs(wanted - self._ends) > step
+        self._slewing = _either(slewing)
         # Without a limit at work the target itself is taken, free of rounding.
-        self._offset = np.where(self._slewing, self._offset + change, wanted)
+        self._ends = np.where(slewing, self._ends + change, wanted)
         self._moved_at = max(stamp, self._moved_at)
 
     def _following_deadline(self, stamp: int) -> int | None:
@@ -513,7 +604,7 @@ class Compensator(Component[CompensatorConfig]):
         return max(stamp + 1, min(late, stamp + nanoseconds(self._config.validity / 2)))
 
     def _message(self, stamp: int) -> Compensation:
-        size = len(self._axes)
+        lines = self._told_lines()
         self._told_at, self._told_epoch = stamp, self._epoch
         return Compensation(
             stamp=stamp,
@@ -521,14 +612,27 @@ class Compensator(Component[CompensatorConfig]):
             epoch=self._epoch,
             state=int(self._state),
             axis=self._axes,
-            offset=self._offset.copy(),
-            slope=np.zeros(size),
-            reference_position=np.zeros(size),
+            offset=lines.offset,
+            slope=lines.slope,
+            reference_position=lines.reference_position.copy(),
             at_limit=self._at_limit.copy(),
             slewing=self._slewing.copy(),
             valid_until=stamp + nanoseconds(self._config.validity),
             source=('thermal_error',),
         )
+
+    def _told_lines(self) -> Lines:
+        """Return the offsets as lines."""
+        lines = self._travel.lines(self._ends, self._reference)
+        low, _ = np.split(self._ends, 2)
+        # Where there is no slope both ends are the offset itself, free of rounding.
+        return replace(lines, offset=np.where(self._travel.sloping, lines.offset, low))
+
+
+def _either(ends: Bools) -> Bools:
+    """Return which axes (c,) something holds for at the lower or the upper end (2 c,)."""
+    low, high = np.split(ends, 2)
+    return np.asarray(low | high)
 
 
 def _reason_text(reason: int) -> str:

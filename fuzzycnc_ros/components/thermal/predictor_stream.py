@@ -27,6 +27,12 @@ from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPred
 from fuzzycnc_ros.core.thermal.blank import blank_model
 from fuzzycnc_ros.core.thermal.learning import Basis
 from fuzzycnc_ros.core.thermal.model import ThermalModel
+from fuzzycnc_ros.core.thermal.places import (
+    channel_spans,
+    read_places,
+    sloping_channels,
+    told_of_channels,
+)
 from fuzzycnc_ros.core.thermal.run import DISPLACEMENT_MAX
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.enums import SpeedStatus
@@ -193,6 +199,8 @@ class Probe:
         Standard deviation of each value [m].
     offset : ndarray
         Offset that was in force and is taken off the error [m].
+    position : ndarray
+        Where each value was measured [m]; NaN where that is not told.
     """
 
     stamp: Stamp
@@ -201,20 +209,49 @@ class Probe:
     error: Floats
     deviation: Floats
     offset: Floats
+    position: Floats
 
-    def of_channels(self, channel: Names, axis: Names) -> tuple[Floats, Floats, Floats]:
+    def of_channels(
+        self, channel: Names, axis: Names, mean: Floats, deviation: Floats
+    ) -> tuple[Floats, Floats, Floats]:
         """Return error, deviation and offset of a model's channels, NaN if it was not probed.
 
         A value belongs to the channel of its name; where the names differ, to the only channel of
-        its axis.
+        its axis.  Of an axis along which the error slopes, values at places tell of offset,
+        slope and bend together.
+
+        Parameters
+        ----------
+        channel, axis : tuple of str, length c
+            The channels and their axes.
+        mean, deviation : ndarray, shape (c,)
+            What is expected of them, and how well [m].
         """
         found = np.full((3, len(channel)), np.nan)
+        along: set[str] = set()
+        for item in channel_spans(channel):
+            if set(item.span.channels[1:]) & set(self.channel):
+                continue
+            along.add(item.span.axis)
+            at = np.array([name == item.span.axis for name in self.axis]) & np.isfinite(self.error)
+            columns = list(item.columns)
+            if at.any():
+                found[:, columns] = told_of_channels(
+                    item.span.shares(self.position[at]),
+                    self.error[at],
+                    self.deviation[at],
+                    self.offset[at],
+                    mean[columns],
+                    deviation[columns],
+                )
         rows = zip(self.channel, self.axis, self.error, self.deviation, self.offset, strict=True)
-        for name, along, *values in rows:
+        for name, moved, *values in rows:
+            if moved in along:
+                continue
             if name in channel:
                 column = channel.index(name)
-            elif axis.count(along) == 1 and channel[axis.index(along)] not in self.channel:
-                column = axis.index(along)
+            elif axis.count(moved) == 1 and channel[axis.index(moved)] not in self.channel:
+                column = axis.index(moved)
             else:
                 continue
             found[:, column] = values
@@ -302,7 +339,9 @@ class ProbeSource:
         self.trouble = ''
         # A probe of unknown deviation gets the least one.
         deviation = np.fmax(record.standard_deviation, self._noise)
-        return Probe(record.stamp, record.channel, record.axis, error, deviation, offset)
+        return Probe(
+            record.stamp, record.channel, record.axis, error, deviation, offset, record.position
+        )
 
     def _offsets(self, record: Displacement) -> Floats:
         """Return what was applied at the time of a probe, per value [m].
@@ -327,8 +366,8 @@ class ProbeSource:
             )
         share = (record.stamp - before[0].stamp) / span if span else 0.0
         offsets = []
-        for axis in record.axis:
-            first, second = _offset_of(before[0], axis), _offset_of(after[0], axis)
+        for axis, place in zip(record.axis, record.position.tolist(), strict=True):
+            first, second = (_offset_of(item, axis, place) for item in (before[0], after[0]))
             if abs(second - first) > self._noise:
                 raise ValueError(
                     f'compensation of {axis} moved by {1e6 * abs(second - first):.1f} um between '
@@ -338,9 +377,17 @@ class ProbeSource:
         return np.array(offsets)
 
 
-def _offset_of(applied: CompensationApplied, axis: str) -> float:
-    """Return the offset of an axis; one that takes no offsets has none."""
-    return float(applied.offset[applied.axis.index(axis)]) if axis in applied.axis else 0.0
+def _offset_of(applied: CompensationApplied, axis: str, place: float) -> float:
+    """Return the offset of an axis at a place [m]; one that takes no offsets has none.
+
+    Where either place is unknown it is the one at which the axis was.
+    """
+    if axis not in applied.axis:
+        return 0.0
+    number = applied.axis.index(axis)
+    way = place - float(applied.position[number])
+    along = float(applied.slope[number]) * way if np.isfinite(way) else 0.0
+    return float(applied.offset[number]) + along
 
 
 @dataclass(frozen=True, eq=False)
@@ -485,7 +532,7 @@ class PredictorStream:
         """
         memory = self.memory
         if memory is not None:
-            known = blank_model(memory.input, memory.axis, memory.interval)
+            known = blank_model(memory.input, memory.channel, memory.interval)
             if known.hash == memory.model_hash:
                 return known
         stamps = [item.sample.stamp for item in self._heard][-SPACINGS - 1 :]
@@ -506,7 +553,9 @@ class PredictorStream:
         try:
             interval = round(spacing / SECOND, 3)
             Basis(len(inputs), True, interval)
-            return blank_model(inputs, self.config.learn_axes, interval)
+            axes = self.config.learn_axes
+            spans = read_places(self.config.learn_places, axes, 'learn_places')
+            return blank_model(inputs, sloping_channels(axes, spans), interval)
         except ValueError as error:
             self.awaited = f'learning from nothing: {error}'
             return None

@@ -7,6 +7,8 @@ force within `correction_time` and never steps.
 """
 
 from collections import deque
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +21,7 @@ from fuzzycnc_ros.core.thermal.band import WIDTH
 from fuzzycnc_ros.core.thermal.confirmation import is_right, is_wrong, judged
 from fuzzycnc_ros.core.thermal.learning import Basis, Learner, Verdict
 from fuzzycnc_ros.core.thermal.model import ThermalModel
+from fuzzycnc_ros.core.thermal.places import channel_spans, motion_of, moving_axes
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.enums import ForgetMode
 from fuzzycnc_ros.runtime.records import (
@@ -67,10 +70,15 @@ class ProbeLearning:
         self._share = np.ones(len(model.channel))
         """Share of the model's prediction in an error, shape (c,) [-]."""
         self._learner: Learner | None = None
+        self._motion: tuple[str, ...] = ()
+        """Axes whose motion is read."""
         if config.learn and model.prior is not None:
             self._learner, self._share = model.prior.learner(), np.array(model.prior.share)
+            self._motion = model.prior.motion
         elif config.learn:
-            basis = Basis(len(model.inputs), True, model.interval)
+            self._motion = moving_axes(model.channel, ())
+            moving = len(self._motion)
+            basis = Basis(len(model.inputs), True, model.interval, motion=moving)
             self._learner = Learner(basis, len(model.channel))
         if self._learner is not None:
             self._fresh = self._learner.memory
@@ -143,11 +151,30 @@ class ProbeLearning:
         self.evidence = memory.evidence.copy()
         self._probes, self._learnt_at = memory.probes.astype(np.int64), memory.stamp
 
-    def step(self, rise: Floats, speed: float, stamp: Stamp) -> None:
-        """Go on to a sample of rises [K] and spindle speed [rad/s]; NaN where it was not told."""
+    def step(
+        self,
+        rise: Floats,
+        speed: float,
+        stamp: Stamp,
+        drives: Mapping[str, float] = MappingProxyType({}),
+    ) -> None:
+        """Go on to a sample.
+
+        Parameters
+        ----------
+        rise : ndarray, shape (p,)
+            Rises of the inputs [K].
+        speed : float
+            Spindle speed [rad/s]; NaN where it was not told.
+        stamp : int
+            Machine time [ns].
+        drives : mapping of str to float
+            What else the control told of heat, see `ThermalRun`.
+        """
         if self._learner is not None:
             known = speed if np.isfinite(speed) else 0.0
-            self._learner.step(rise, known, self._elapsed(stamp))
+            motion = motion_of(drives, self._motion)[0]
+            self._learner.step(rise, known, self._elapsed(stamp), motion)
 
     def apply(
         self, stamp: Stamp, predicted: Floats, deviation: Floats, probes: tuple[Probe, ...]
@@ -181,14 +208,20 @@ class ProbeLearning:
 
     def _take(self, probe: Probe, stamp: Stamp, predicted: Floats) -> None:
         assert self._learner is not None
-        measured, noise, offset = probe.of_channels(self._model.channel, self._model.axis)
         expected = self._at(probe.stamp, stamp, predicted)
-        if expected is None or not np.isfinite(measured).any():
-            why = 'nothing was predicted' if expected is None else 'its channels are not predicted'
-            self._doubt = f'probe at {probe.stamp / SECOND:.3f} s is not used: {why}'
+        before, deviation = self._learner.predict()
+        why = 'nothing was predicted' if expected is None else 'its channels are not predicted'
+        unused = f'probe at {probe.stamp / SECOND:.3f} s is not used: {why}'
+        if expected is None:
+            self._doubt = unused
+            return
+        measured, noise, offset = probe.of_channels(
+            self._model.channel, self._model.axis, expected + before, deviation
+        )
+        if not np.isfinite(measured).any():
+            self._doubt = unused
             return
         self._before.append(self._known())
-        before, deviation = self._learner.predict()
         measured = self._trusted(measured, measured - expected - before, noise, deviation, offset)
         verdicts = self._learner.probe(measured - expected, noise, (stamp - probe.stamp) / SECOND)
         self._come_into_force(before)
@@ -263,13 +296,21 @@ class ProbeLearning:
         is learnt only if it speaks for that: of a wrong sign it would feed on itself.
         """
         spread, before = np.hypot(deviation, noise), self.evidence.copy()
-        for number in np.flatnonzero(np.isfinite(measured)):
-            self.evidence[number] = judged(
-                float(self.evidence[number]),
-                float(missed[number]),
-                float(spread[number]),
-                float(offset[number]),
-            )
+        spans = {
+            item.columns[0]: list(item.columns) for item in channel_spans(self._model.channel)
+        }
+        rest = {column for columns in spans.values() for column in columns[1:]}
+        for first in range(len(measured)):
+            # Offset and slope of an axis are seen by the same probes: they speak together.
+            columns = spans.get(first, [] if first in rest else [first])
+            for number in columns:
+                if np.isfinite(measured[number]):
+                    self.evidence[columns] = judged(
+                        float(self.evidence[first]),
+                        float(missed[number]),
+                        float(spread[number]),
+                        float(offset[number]),
+                    )
         free = is_right(self.evidence) | (self.evidence > before) | (np.abs(offset) <= spread)
         return np.where(free & ~is_wrong(self.evidence), measured, np.nan)
 

@@ -16,6 +16,7 @@ import numpy as np
 from fuzzycnc_ros.components.thermal.kept_samples import KeptSamples
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.remedies import Remedy, remedied
+from fuzzycnc_ros.core.thermal.places import along_axes
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
 from fuzzycnc_ros.core.thermal.sensor_limits import JUDGED, SensorLimits
 from fuzzycnc_ros.core.thermal.sensor_watch import SensorSelection as Selection
@@ -165,14 +166,19 @@ class SensorSelector(Component[SensorSelectorConfig]):
         temperature = np.array([sample.temperature for sample, _ in self._samples])
         status = np.array([sample.status for sample, _ in self._samples])
         temperature[status != Status.OK] = np.nan
+        time = 1e-9 * np.array([sample.stamp - first.stamp for sample, _ in self._samples])
+        moved = np.array([item.displacement for _, item in self._samples])
+        axis, channel, moved = along_axes(
+            time, measured.axis, measured.channel, measured.position, moved
+        )
         return ThermalRun(
             name='present run',
-            time=1e-9 * np.array([sample.stamp - first.stamp for sample, _ in self._samples]),
+            time=time,
             sensor=first.sensor,
             temperature=temperature,
-            channel=measured.channel,
-            axis=measured.axis,
-            displacement=np.array([item.displacement for _, item in self._samples]),
+            channel=channel,
+            axis=axis,
+            displacement=moved,
             limits=JUDGED,
         )
 

@@ -323,8 +323,8 @@ class ModelHistory:
                 between = self._vector + (vector - self._vector) * (number / steps)
                 self._recursion.step(between)
                 at = stamp - (steps - number) * interval
-                self.learning.step(between[:sensors], heard.spindle_speed, at)
-        self.learning.step(vector[:sensors], heard.spindle_speed, stamp)
+                self.learning.step(between[:sensors], heard.spindle_speed, at, heard.drives)
+        self.learning.step(vector[:sensors], heard.spindle_speed, stamp, heard.drives)
         return self._recursion.step(vector)
 
     def _history_is_known(self, stamp: Stamp) -> bool:

@@ -25,6 +25,7 @@ from fuzzycnc_ros.components.thermal.predictor_stream import (
 from fuzzycnc_ros.components.thermal.thermal_history import ModelHistory, Prediction, losses_of
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.thermal.model import ModelMismatchError, ThermalModel
+from fuzzycnc_ros.core.thermal.places import BEND_LARGEST, channel_spans, read_places
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
     Answer,
@@ -42,6 +43,7 @@ from fuzzycnc_ros.runtime.records import (
     Displacement,
     Floats,
     MachineState,
+    Names,
     PredictorState,
     ProbeEvidence,
     ProbeStatus,
@@ -274,6 +276,7 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
 
     def __init__(self, config: ThermalPredictorConfig | None = None) -> None:
         super().__init__(config)
+        read_places(self._config.learn_places, self._config.learn_axes, 'learn_places')
         self._swap = ModelSwap()
         self._stream = PredictorStream(self._config)
         self._named = False
@@ -476,13 +479,15 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
             reason = history.reason if history else Reason.NO_MODEL
             label = history.label if history else ''
             found = Prediction(axis, channel, label, nothing, nothing.copy(), 'unknown', (), ())
+        offset, along = along_travel(found.channel, found.error, found.deviation)
         return ThermalError(
             stamp=stamp,
             frame_id=self.frame('workpiece'),
-            axis=found.axis,
-            channel=found.channel,
-            error=found.error,
-            standard_deviation=found.deviation,
+            axis=tuple(found.axis[number] for number in offset),
+            channel=tuple(found.channel[number] for number in offset),
+            error=found.error[offset],
+            standard_deviation=found.deviation[offset],
+            **along,
             valid=valid,
             reason=int(reason),
             in_domain=not found.outside,
@@ -490,6 +495,34 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
             substituted=found.substituted,
             substitute=found.substitute,
         )
+
+
+def along_travel(
+    channel: Names, error: Floats, deviation: Floats
+) -> tuple[list[int], dict[str, Floats]]:
+    """Return which channels are offsets, and the fields that tell how these errors slope.
+
+    Parameters
+    ----------
+    channel : tuple of str, length c
+        Channels of a model.
+    error, deviation : ndarray, shape (c,)
+        What it predicts and the standard deviations of that [m].
+    """
+    spans = channel_spans(channel)
+    rest = {column for item in spans for column in item.columns[1:]}
+    offset = [number for number in range(len(channel)) if number not in rest]
+    names = ('slope', 'slope_deviation', 'reference_position', 'line_deviation')
+    found = {name: np.full(len(offset), np.nan) for name in names}
+    for item in spans:
+        at, half = offset.index(item.columns[0]), item.span.half
+        found['slope'][at] = error[item.columns[1]] / half
+        found['slope_deviation'][at] = deviation[item.columns[1]] / half
+        found['reference_position'][at] = item.span.middle
+        for column in item.columns[2:]:
+            left = np.hypot(error[column], deviation[column])
+            found['line_deviation'][at] = BEND_LARGEST * left
+    return offset, found
 
 
 def refusal_of(model: ThermalModel) -> str:

@@ -99,6 +99,12 @@ class ThermalPredictorConfig(Config):
     learn_axes: tuple[str, ...] = param(
         ('X', 'Y', 'Z'), '-', 'Axes whose error is learnt where there is no model'
     )
+    learn_places: tuple[str, ...] = param(
+        (),
+        '-',
+        'Places at which such an axis is probed, in m, as Y:-0.5:0; two teach how the error '
+        'slopes along it, a third between them how it bends',
+    )
     band_wanted: float = param(
         5e-6,
         'm',

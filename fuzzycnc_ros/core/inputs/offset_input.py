@@ -179,6 +179,11 @@ class OffsetInput:
         return np.asarray(np.clip(self._applied + self.slope * moved, -most, most))
 
     @property
+    def position(self) -> NDArray[np.float64]:
+        """Where the axes are told to be, shape (axes,) [m]; NaN where nothing tells."""
+        return self._position.copy()
+
+    @property
     def slope(self) -> NDArray[np.float64]:
         """Slopes along which offsets follow the axes, shape (axes,) [-]."""
         command = self._before or self._newest

@@ -10,6 +10,7 @@ from fuzzycnc_ros.core.thermal.band import Band
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED, Candidate
 from fuzzycnc_ros.core.thermal.domain import Domain
 from fuzzycnc_ros.core.thermal.model import ThermalModel
+from fuzzycnc_ros.core.thermal.places import channel_axis
 from fuzzycnc_ros.core.thermal.recursions.base import LinearRecursion
 from fuzzycnc_ros.core.thermal.sensor_watch import SensorCluster, SensorSelection
 
@@ -17,15 +18,15 @@ LABEL = 'learnt'
 """Name under which errors are published that are learnt from nothing."""
 
 
-def blank_model(inputs: Sequence[str], axis: Sequence[str], interval: float) -> ThermalModel:
+def blank_model(inputs: Sequence[str], channel: Sequence[str], interval: float) -> ThermalModel:
     """Return a model of any temperatures that predicts no error.
 
     Parameters
     ----------
     inputs : sequence of str, length p
         Sensors.
-    axis : sequence of str, length c
-        ISO 841 axes, which are the channels, too.
+    channel : sequence of str, length c
+        ISO 841 axes, and their slopes and bends, see `places`.
     interval : float
         Sampling interval [s].
 
@@ -34,15 +35,15 @@ def blank_model(inputs: Sequence[str], axis: Sequence[str], interval: float) -> 
     ValueError
         If a sensor or an axis is named twice, or there is none, or the interval is none.
     """
-    sensors, channels = len(inputs), len(axis)
+    sensors, channels = len(inputs), len(channel)
     nothing = LinearRecursion.of_nothing(channels, sensors)
     unknown = np.full(channels, np.nan)
     alone = [SensorCluster((name,), (1.0,), name, (), (), ()) for name in inputs]
     return ThermalModel(
         inputs=tuple(inputs),
         interval=interval,
-        channel=tuple(axis),
-        axis=tuple(axis),
+        channel=tuple(channel),
+        axis=tuple(channel_axis(name) for name in channel),
         runs=(),
         candidates={
             UNCOMPENSATED: Candidate(

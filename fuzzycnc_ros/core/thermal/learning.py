@@ -3,10 +3,11 @@
 """Bayesian linear regression of a thermal error, learnt from probes by a Kalman filter.
 
 In run k, y(t) = phi(t)' w_k + d(t) + noise, with w_k = rho w_(k-1) + sqrt(1 - rho^2) N(0, S).
-Features phi are the rises of the sensors and their first-order lags, and lags of the spindle speed
-and of its square.  The weights are those of one machine, and differ a little from run to run; d
-is a slow drift (Ornstein-Uhlenbeck process) that begins anew in each run.  Nothing has to be known
-beforehand: S, the drift and rho follow from the probes by marginal likelihood.
+Features phi are the rises of the sensors and their first-order lags, lags of the spindle speed and
+of its square, and of the mean speed and squared speed of axes along which the error slopes.  The
+weights are those of one machine, and differ a little from run to run; d is a slow drift
+(Ornstein-Uhlenbeck process) that begins anew in each run.  Nothing has to be known beforehand: S,
+the drift and rho follow from the probes by marginal likelihood.
 
 References
 ----------
@@ -47,6 +48,16 @@ and grinder."""
 
 SPINDLE_LAGS = (300.0, 900.0, 2700.0, 7200.0)
 """Lags of the spindle speed and of its square [s]."""
+
+MOTION_LAGS = (600.0, 1800.0, 5400.0)
+"""Lags of the speed of an axis at rest, and of its square [s]."""
+
+MOTION_UNIT = 0.2
+"""Mean speed of an axis that is expected to do as much as a rise of `RISE_UNIT` [m/s]."""
+
+VENTILATION = 4.5
+"""Growth of the loss of what an axis warms, over its mean speed, as a share of that at rest
+[1/(m/s)]: the likelier of 0 to 6 on random duties of the simulated mill."""
 
 RISE_UNIT, SPEED_UNIT = 10.0, 200.0
 """Rise [K] and least largest speed [rad/s] of which a scale is the error."""
@@ -96,6 +107,8 @@ class Basis:
         Sampling interval [s].
     lags : tuple of float
         Lags of the rises [s].
+    motion : int
+        Number m of axes whose motion is read.
 
     Raises
     ------
@@ -107,10 +120,12 @@ class Basis:
     speed: bool
     interval: float
     lags: tuple[float, ...] = RISE_LAGS
+    motion: int = 0
 
     def __post_init__(self) -> None:
         """Refuse what gives no features, or too many."""
-        most = (FEATURES_MAX - 2 * len(SPINDLE_LAGS)) // (1 + len(self.lags))
+        most = FEATURES_MAX - 2 * len(SPINDLE_LAGS) - 2 * len(MOTION_LAGS) * self.motion
+        most //= 1 + len(self.lags)
         if not 1 <= self.sensors <= most:
             raise ValueError(
                 f'sensors: expected 1 to {most} to learn from, but found {self.sensors}; choose '
@@ -119,8 +134,8 @@ class Basis:
 
     @property
     def of_rises(self) -> int:
-        """Number of features that are rises or their lags; those of the speed follow them."""
-        return (1 + len(self.lags)) * self.sensors
+        """Number of features that are of rises or axes; those of the spindle speed follow them."""
+        return (1 + len(self.lags)) * self.sensors + 2 * len(MOTION_LAGS) * self.motion
 
     @property
     def features(self) -> int:
@@ -131,7 +146,9 @@ class Basis:
         """Return the state at the thermal reference, shape (p - s,)."""
         return np.zeros(self.features - self.sensors)
 
-    def step(self, rise: Array, speed: float, state: Array) -> tuple[Array, Array]:
+    def step(
+        self, rise: Array, speed: float, state: Array, motion: Array | None = None
+    ) -> tuple[Array, Array]:
         """Return the features (p,) of a sample and the next state (p - s,).
 
         Parameters
@@ -142,19 +159,44 @@ class Basis:
             Spindle speed [rad/s].
         state : ndarray, shape (p - s,)
             State after the sample before.
+        motion : ndarray, shape (2 m,), optional
+            Mean speeds of the axes [m/s], then mean squared speeds [m2/s2], since the sample
+            before; nothing moved if it is left out.
         """
-        state = state + self._share * (self._drive(rise, np.asarray(speed)) - state)
+        share, drive = self._share, self._drive(rise, np.asarray(speed))
+        if self.motion:
+            share, drive = self._moved(share, drive, motion)
+        state = state + share * (drive - state)
         return np.concatenate((rise, state)), state
+
+    def _moved(self, share: Array, drive: Array, motion: Array | None) -> tuple[Array, Array]:
+        """Put the motion of the axes in; what it warms loses the more the faster it is."""
+        moved = np.zeros(2 * self.motion) if motion is None else motion
+        speed, square = np.split(moved, 2)
+        loss = 1.0 + VENTILATION * speed
+        warmed = np.concatenate([speed / MOTION_UNIT, square / (MOTION_UNIT * MOTION_UNIT)])
+        loss = np.concatenate([loss, loss])
+        lags = np.repeat(MOTION_LAGS, len(loss))
+        count = len(lags)
+        begin = len(self.lags) * self.sensors
+        rows = slice(begin, begin + count)
+        share, drive = share.copy(), drive.copy()
+        tiled = np.tile(loss, len(MOTION_LAGS))
+        share[rows] = 1.0 - portable.exp(-self.interval * tiled / lags)
+        drive[rows] = np.tile(RISE_UNIT * warmed / loss, len(MOTION_LAGS))
+        return share, drive
 
     @cached_property
     def _share(self) -> Array:
         lags = np.repeat(self.lags, self.sensors)
+        lags = np.concatenate([lags, np.repeat(MOTION_LAGS, 2 * self.motion)])
         if self.speed:
             lags = np.concatenate([lags, np.tile(SPINDLE_LAGS, 2)])
         return 1.0 - portable.exp(-self.interval / lags)
 
     def _drive(self, rise: Array, speed: Array) -> Array:
         drives = [rise] * len(self.lags)
+        drives.append(np.zeros(2 * len(MOTION_LAGS) * self.motion))
         if self.speed:
             size = np.abs(speed)[..., np.newaxis]
             drives += [size] * len(SPINDLE_LAGS) + [size * size] * len(SPINDLE_LAGS)
@@ -352,7 +394,7 @@ class Posterior:
         rises, drift = self._basis.of_rises, self.scales.drift_variance
         found = {}
         for name, part in (
-            ('temperatures', slice(0, rises)),
+            ('temperatures and axes' if self._basis.motion else 'temperatures', slice(0, rises)),
             ('spindle speed', slice(rises, self._basis.features)),
         ):
             row = features[part]
@@ -791,7 +833,7 @@ class Learner:
         self._time, self.lags = time, np.array(lags, dtype=np.float64)
         self._features = self._before = features
 
-    def step(self, rise: Array, speed: float, time: float) -> None:
+    def step(self, rise: Array, speed: float, time: float, motion: Array | None = None) -> None:
         """Go on to the next sample.
 
         Parameters
@@ -802,9 +844,11 @@ class Learner:
             Spindle speed [rad/s].
         time : float
             Time since the thermal reference [s].
+        motion : ndarray, shape (2 m,), optional
+            Mean speeds of the axes [m/s], then mean squared speeds [m2/s2].
         """
         self._time, self._before = time, self._features
-        self._features, self.lags = self.basis.step(rise, speed, self.lags)
+        self._features, self.lags = self.basis.step(rise, speed, self.lags, motion)
 
     def predict(self) -> tuple[Array, Array]:
         """Return the expected errors of the last sample and their deviations, (c,) [m]."""

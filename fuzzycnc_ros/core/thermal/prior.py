@@ -55,11 +55,14 @@ class LearningPrior:
         Knowledge of each channel.
     share : tuple of float, length c
         Share of the trained model's prediction in an error [-].
+    motion : tuple of str, length m
+        Axes whose motion the features read.
     """
 
     basis: Basis
     known: tuple[Knowledge, ...]
     share: tuple[float, ...]
+    motion: tuple[str, ...] = ()
 
     def learner(self) -> Learner:
         """Return a learner that begins with this.
@@ -76,7 +79,10 @@ class LearningPrior:
 
     def document(self) -> dict[str, Any]:
         """Return the prior as JSON values."""
+        # Files of models without such axes keep their text.
+        moving = {'motion': list(self.motion)} if self.motion else {}
         return {
+            **moving,
             'speed': self.basis.speed,
             'lags': list(self.basis.lags),
             'channels': [
@@ -111,12 +117,16 @@ class LearningPrior:
         """
         with node.named():
             lags = node.get('lags').numbers(interval * LENGTH_MIN, NUMBER_MAX)
-            basis = Basis(sensors, node.get('speed').boolean(), interval, lags)
+            known = node.items().get('motion')
+            motion = () if known is None else known.texts()
+            speed = node.get('speed').boolean()
+            basis = Basis(sensors, speed, interval, lags, len(motion))
         channels = node.get('channels').list()
         return LearningPrior(
             basis=basis,
             known=tuple(_read(item, basis.features) for item in channels),
             share=tuple(item.get('share').number(0.0, 1.0) for item in channels),
+            motion=motion,
         )
 
 
@@ -179,7 +189,7 @@ def of_one_kind(priors: Sequence[LearningPrior]) -> LearningPrior:
     if count < 2:
         raise ValueError(f'machines: expected two of one kind or more, but found {count}')
     for other in priors[1:]:
-        if (other.basis, other.share) != (first.basis, first.share):
+        if (other.basis, other.share, other.motion) != (first.basis, first.share, first.motion):
             raise ValueError(
                 'machines: expected the same number of sensors, lags, interval and share of a '
                 'model in all of them, but found others'

@@ -136,6 +136,9 @@ DUTIES = {
 }
 """The five duties by name, in the order in which their noise is drawn."""
 
+STANDING = 6
+"""Time for which duties with axis motion begin cold [min]."""
+
 _LONG, _MIDDLE, _SHORT = (-0.45, -0.05), (-0.3, -0.1), (-0.45, -0.35)
 
 
@@ -144,7 +147,10 @@ def _moving(
     blocks: Iterable[tuple[float, float, Mapping[str, tuple[tuple[float, float], float]]]],
     ambient: tuple[float, float, float],
 ) -> Duty:
-    """Build a duty of rpm, minutes, and per axis the ends of its stroke [m] and speed [m/s]."""
+    """Build a duty of rpm, minutes, and per axis the ends of its stroke [m] and speed [m/s].
+
+    The machine stands for the first minutes, in which the reference is taken.
+    """
     return Duty(
         name,
         tuple(
@@ -153,7 +159,7 @@ def _moving(
                 60.0 * minutes,
                 tuple((axis, Stroke(*ends, speed)) for axis, (ends, speed) in strokes.items()),
             )
-            for rpm, minutes, strokes in blocks
+            for rpm, minutes, strokes in ((0, STANDING, {}), *blocks)
         ),
         *ambient,
     )

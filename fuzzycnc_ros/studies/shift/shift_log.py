@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.components.thermal.control_drives import drives_at, drives_told
 from fuzzycnc_ros.components.thermal.predictor_stream import TOPICS as SPEED_TOPICS
 from fuzzycnc_ros.components.thermal.predictor_stream import speed_told, speeds_at
 from fuzzycnc_ros.components.thermal.sensor_substitution import RiseSource
 from fuzzycnc_ros.core.thermal.candidate import DEFAULT, UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.model import ThermalModel
+from fuzzycnc_ros.core.thermal.places import along_axes
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
 from fuzzycnc_ros.core.thermal.sensor_limits import JUDGED
 from fuzzycnc_ros.runtime.enums import Status
@@ -80,17 +82,35 @@ class ShiftLog(RecordLog):
                 f'run {name!r}: expected temperatures and displacements but found '
                 f'{len(samples)} and {len(moved)} messages'
             )
+        time = np.array([item.stamp - samples[0].stamp for item in samples]) / SECOND
+        measured = _at_stamps(samples, moved, 'displacement', len(moved[0].channel))
+        first = moved[0]
+        axis, channel, along = along_axes(
+            time, first.axis, first.channel, first.position, measured
+        )
         return ThermalRun(
             name=name,
-            time=np.array([item.stamp - samples[0].stamp for item in samples]) / SECOND,
+            time=time,
             sensor=samples[0].sensor,
             temperature=_temperature(samples),
-            channel=moved[0].channel,
-            axis=moved[0].axis,
-            displacement=_at_stamps(samples, moved, 'displacement', len(moved[0].channel)),
+            channel=channel,
+            axis=axis,
+            displacement=along,
             spindle_speed=self.spindle_speed(samples, start, stop),
+            drives=self.drives(samples, start, stop),
             limits=JUDGED,
         )
+
+    def drives(
+        self, samples: Sequence[Temperatures], start: int = 0, stop: int | None = None
+    ) -> dict[str, Floats]:
+        """Return what else the control told of heat by each sample of a span."""
+        told = []
+        for item in self.records('machine_state', start, stop):
+            found = drives_told(item)
+            if found is not None:
+                told.append((item.stamp, *found))
+        return drives_at(np.array([item.stamp for item in samples]), told)
 
     def spindle_speed(
         self, samples: Sequence[Temperatures], start: int = 0, stop: int | None = None

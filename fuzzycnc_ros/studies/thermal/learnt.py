@@ -18,6 +18,7 @@ from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.fit.training import at_interval, training_interval
 from fuzzycnc_ros.core.thermal.fit.training_runs import check_training_runs
 from fuzzycnc_ros.core.thermal.learning import Basis, Learner, Verdict
+from fuzzycnc_ros.core.thermal.places import motion_of, moving_axes
 from fuzzycnc_ros.core.thermal.run import JITTER_MAX, ThermalRun, speed_known
 from fuzzycnc_ros.studies.page.chart import Axis, Band, Chart, Panel, Rule, Series
 from fuzzycnc_ros.studies.page.drawing import AFTER, BEFORE, FAINT, MEASURED, MUTED, time_axis
@@ -129,7 +130,8 @@ def learn_runs(
     check_training_runs(even)
     check_every(every, interval, 'the runs')
     speed = all(speed_known(run) for run in even)
-    basis = Basis(len(even[0].sensor), speed, interval)
+    motion = moving_axes(even[0].channel, [run.drives for run in even])
+    basis = Basis(len(even[0].sensor), speed, interval, motion=len(motion))
     random = None if seed is None else np.random.default_rng(seed)
     learner = Learner(basis, len(even[0].channel))
     for number, run in enumerate(even):
@@ -140,15 +142,21 @@ def learn_runs(
         probes = run.displacement
         if random is not None:
             probes = probes + noise * random.standard_normal(probes.shape)
-        yield _followed(learner, run, probes, every, noise)
+        yield _followed(learner, run, probes, every, noise, motion)
 
 
 def _followed(
-    learner: Learner, run: ThermalRun, probes: Array, every: float, noise: float
+    learner: Learner,
+    run: ThermalRun,
+    probes: Array,
+    every: float,
+    noise: float,
+    motion: Sequence[str],
 ) -> LearntRun:
     """Let a learner follow a run from its reference to its end."""
     shape = run.displacement.shape
     speeds = np.zeros(shape[0]) if run.spindle_speed is None else run.spindle_speed
+    moved = motion_of(run.drives, motion, shape[0])
     before = deepcopy(learner)
     predicted = {name: np.zeros(shape) for name in (UNCOMPENSATED, HELD, CARRIED, LEARNT)}
     deviation = {name: np.zeros(shape) for name in (CARRIED, LEARNT)}
@@ -157,7 +165,7 @@ def _followed(
     slack = JITTER_MAX * learner.basis.interval
     for row, (rise, now) in enumerate(zip(run.rise(), speeds, strict=True)):
         for name, item in ((CARRIED, before), (LEARNT, learner)):
-            item.step(rise, float(now), run.time[row] - run.time[0])
+            item.step(rise, float(now), run.time[row] - run.time[0], moved[row])
             predicted[name][row], deviation[name][row] = item.predict()
         predicted[HELD][row] = held
         taken = np.isfinite(probes[row]) & (run.time[row] >= due - slack)

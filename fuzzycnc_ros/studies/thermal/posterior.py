@@ -91,7 +91,7 @@ def memory_of(name: str, posterior: ThermalPosterior, model: ThermalModel | None
         If the record is damaged.
     """
     if model is None:
-        model = blank_model(posterior.input, posterior.axis, posterior.interval)
+        model = blank_model(posterior.input, posterior.channel, posterior.interval)
     if model.hash != posterior.model_hash:
         raise ModelMismatchError(
             f'{name}: expected what was learnt beside the model {model.hash[:12]}, but found '

@@ -183,6 +183,7 @@ class _Track:
         self._rise, self._expected = rise[:, : len(model.inputs)], model.standard_deviation(rise)
         known = even.spindle_speed
         self._speed = np.full(len(alone), np.nan) if known is None else known
+        self._drives = even.drives
         self._channel, self._axis = model.channel, model.axis
         config = ThermalPredictorConfig(learn=True, probe_interval_min=every)
         self.learning = ProbeLearning(model, config)
@@ -200,13 +201,15 @@ class _Track:
             self.predicted[HELD][row] = held
             self._learn(row, stamp, probes)
             for probe in probes:
-                error, _, _ = probe.of_channels(self._channel, self._axis)
+                nothing = np.zeros(len(held))
+                error, _, _ = probe.of_channels(self._channel, self._axis, nothing, nothing + 1.0)
                 held = np.where(np.isfinite(error), error, held)
                 self.probes += np.isfinite(error)
 
     def _learn(self, row: int, stamp: Stamp, probes: tuple[Probe, ...]) -> None:
         """Predict a sample from the probes before it."""
-        self.learning.step(self._rise[row], float(self._speed[row]), stamp)
+        drives = {name: float(values[row]) for name, values in self._drives.items()}
+        self.learning.step(self._rise[row], float(self._speed[row]), stamp, drives)
         if not np.isfinite(self._alone[row]).all():
             self.learning.pause()
             self.predicted[LEARNT][row] = self._alone[row]

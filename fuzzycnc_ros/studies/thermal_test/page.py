@@ -23,6 +23,7 @@ from fuzzycnc_ros.studies.page.html import Figure, Page, Remark, Section
 from fuzzycnc_ros.studies.thermal_test.evaluation import quantities
 from fuzzycnc_ros.studies.thermal_test.report import (
     ThermalTest,
+    axes_table,
     budget_remarks,
     budget_table,
     facts,
@@ -63,6 +64,7 @@ def thermal_test_page(test: ThermalTest) -> Page:
     """Return the page of a thermal test."""
     hours = float(test.recording.time[-1]) / 3600.0
     count = len(test.phases)
+    along = axes_table(test)
     return Page(
         title=f'Thermal test in the style of {STYLE_OF}',
         summary=f'{count} phase{"s" if count > 1 else ""} in {hours:.1f} h, probes '
@@ -78,6 +80,7 @@ def thermal_test_page(test: ThermalTest) -> Page:
                 Section(f'Phase {number}: {item.phase.name}', tables=[phase_table(test, number)])
                 for number, item in enumerate(test.phases, start=1)
             ),
+            *([] if along is None else [Section('Linear axes', tables=[along])]),
             Section('Uncertainty', tables=[budget_table(test)], remarks=budget_remarks(test)),
         ],
         facts={

@@ -16,6 +16,7 @@ from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.runs import (
     DISPLACEMENT_TYPE,
     TEMPERATURES_TYPE,
+    Displacements,
     Samples,
     Series,
     find_topic,
@@ -67,6 +68,8 @@ class TestRecording:
         When displacements were measured [s], increasing.
     channel, axis : tuple of str, length c
         Channels, and where each points.
+    position : ndarray, shape (c,)
+        Where on its axis each channel is measured [m]; NaN where that is not told.
     measured : ndarray, shape (n, c)
         Displacements [m]; NaN where one was not measured.
     deviation : ndarray, shape (n, c)
@@ -94,6 +97,7 @@ class TestRecording:
     time: Floats
     channel: tuple[str, ...]
     axis: tuple[str, ...]
+    position: Floats
     measured: Floats
     deviation: Floats
     includes: NDArray[np.bool_]
@@ -149,10 +153,10 @@ def read_test(path: str | os.PathLike[str], machine: str | None = None) -> TestR
         zone = recorded_zone(reader)
         moved_topic = find_topic(reader, 'displacement', DISPLACEMENT_TYPE, machine)
         space = moved_topic.rpartition('/')[0]
-        moved = Samples(source, moved_topic, ('axis', 'channel'), 'channel')
-        deviation = Samples(source, moved_topic, ('axis', 'channel'), 'channel')
+        moved = Displacements(source, moved_topic)
+        deviation = Displacements(source, moved_topic)
         applied_topic = _found(reader, f'{space}/compensation_applied', CompensationApplied.TYPE)
-        applied = Samples(source, applied_topic, ('axis',), 'axis')
+        applied, slope, place = (Samples(source, applied_topic, ('axis',), 'axis') for _ in '123')
         warm_topic = _found(reader, f'{space}/temperatures', TEMPERATURES_TYPE)
         warm = Samples(source, warm_topic, ('sensor',), 'sensor')
         event_topic = _found(reader, f'{space}/node_event', NodeEvent.TYPE)
@@ -165,11 +169,13 @@ def read_test(path: str | os.PathLike[str], machine: str | None = None) -> TestR
         for topic, _, _, message in reader.messages(wanted):  # one pass
             stamp = stamp_of(message.header.stamp)
             if topic == moved_topic:
-                moved.add(message, message.displacement)
-                deviation.add(message, message.standard_deviation)
+                moved.take(message)
+                deviation.take(message, message.standard_deviation)
                 includes.append(bool(message.includes_compensation))
             elif topic == applied_topic:
                 applied.add(message, message.offset)
+                slope.add(message, message.slope)
+                place.add(message, message.position)
             elif topic == warm_topic:
                 warm.add(message, message.temperature, message.status == 0)
             elif topic == event_topic:
@@ -192,10 +198,18 @@ def read_test(path: str | os.PathLike[str], machine: str | None = None) -> TestR
         time=_since(start, series.stamp),
         channel=channel,
         axis=axis,
+        position=moved.position,
         measured=series.values,
         deviation=deviation.series().values,
         includes=np.array(includes),
-        offset=_offsets(series.stamp, axis, applied.series()) if applied_topic else None,
+        offset=_offsets(
+            series.stamp,
+            axis,
+            moved.position,
+            *(item.series() for item in (applied, slope, place)),
+        )
+        if applied_topic
+        else None,
         temperatures=_course(start, warm.series()) if warm_topic else None,
         speed=speeds_at(series.stamp, told),
         # Each part of a bag begins with the newest events, which so come again.
@@ -223,15 +237,30 @@ def _mark(source: Path, stamp: int, request: str) -> tuple[str, str]:
         ) from error
 
 
-def _offsets(stamp: NDArray[np.int64], axis: tuple[str, ...], applied: Series) -> Floats:
-    """Return the newest offset in force at each stamp, NaN where it is too old or not told."""
+def _offsets(
+    stamp: NDArray[np.int64],
+    axis: tuple[str, ...],
+    position: Floats,
+    applied: Series,
+    slope: Series,
+    place: Series,
+) -> Floats:
+    """Return the newest offset in force at each stamp, NaN where it is too old or not told.
+
+    It is that at the position (c,) of each column, where both that and the axis' own are told.
+    """
     usual = np.median(np.diff(applied.stamp)) if len(applied.stamp) > 1 else np.inf
     row = np.searchsorted(applied.stamp, stamp, side='right') - 1
     fresh = (row >= 0) & (stamp - applied.stamp[np.maximum(row, 0)] <= HELD_SHARE * usual)
     (names,) = applied.names
     column = np.array([names.index(name) if name in names else -1 for name in axis])
-    told = np.column_stack([applied.values, np.full(len(applied.values), np.nan)])
-    return np.where(fresh[:, np.newaxis], told[np.ix_(np.maximum(row, 0), column)], np.nan)
+    pick = np.ix_(np.maximum(row, 0), column)
+    told, steep, where = (
+        np.column_stack([item.values, np.full(len(item.values), np.nan)])[pick]
+        for item in (applied, slope, place)
+    )
+    told = told + np.nan_to_num(steep * (position - where))
+    return np.where(fresh[:, np.newaxis], told, np.nan)
 
 
 def _course(start: int, series: Series) -> Course:

@@ -5,7 +5,7 @@
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import isfinite, pi
+from math import isfinite, nan, pi
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.thermal_test.evaluation import (
     COMBINED,
     Drift,
+    Floats,
     Found,
     JudgedPhase,
     combined_probes,
@@ -309,6 +310,59 @@ def phase_table(test: ThermalTest, number: int) -> Table:
         f'ranges and change without{" and with" if test.compensated else ""} compensation'
     )
     return Table(title, tuple(columns), tuple(rows))
+
+
+def axis_targets(recording: TestRecording) -> dict[str, list[int]]:
+    """Return the columns of each axis that was measured at several places, low end first."""
+    found: dict[str, list[int]] = {}
+    for column in np.argsort(recording.position, kind='stable').tolist():
+        if isfinite(recording.position[column]):
+            found.setdefault(recording.axis[column], []).append(column)
+    return {axis: columns for axis, columns in sorted(found.items()) if len(columns) > 1}
+
+
+def axes_table(test: ThermalTest) -> Table | None:
+    """Return how the error along linear axes changed in each phase; None if nobody measured it.
+
+    In the style of the test of linear axes in ISO 230-3: targets near both ends of the travel, and
+    between them, before and after the axis was moved.
+    """
+    recording, rows = test.recording, []
+    for axis, columns in axis_targets(recording).items():
+        place = recording.position[columns]
+        for item in test.phases:
+            inside = (recording.time >= item.phase.start) & (recording.time <= item.phase.end)
+            sides = [('without', recording.bare)]
+            if item.compensated:
+                sides.append(('with', recording.compensated))
+            for side, values in sides:
+                change = np.array([_change(values[inside, column]) for column in columns])
+                known = np.isfinite(change)
+                if known.sum() < 2:
+                    continue
+                slope, offset = np.polyfit(place[known], change[known], 1)
+                rest = np.abs(change - offset - slope * place)[known].max()
+                at = '; '.join(
+                    f'{1e6 * value:+.1f} at {1e3 * where:g} mm' if isfinite(value) else 'not known'
+                    for value, where in zip(change, place, strict=True)
+                )
+                line = f'{1e6 * rest:.1f}' if known.sum() > 2 else NOT_STATED
+                rows.append((item.phase.name, axis, side, at, f'{1e6 * slope:+.1f}', line))
+    if not rows:
+        return None
+    columns_ = (
+        *(Column(name, numeric=False) for name in ('Phase', 'Axis', 'Compensation')),
+        Column('Change from the beginning to the end of the phase [µm]', numeric=False),
+        Column('Slope [µm/m]'),
+        Column('Line leaves [µm]'),
+    )
+    return Table('Linear axes', columns_, tuple(rows))
+
+
+def _change(values: Floats) -> float:
+    """Return the last less the first of the values that are known."""
+    known = values[np.isfinite(values)]
+    return float(known[-1] - known[0]) if len(known) > 1 else nan
 
 
 def _how(item: JudgedPhase, *, bare: bool) -> str:

@@ -41,6 +41,15 @@ function facts(title, entries) {
   };
 }
 
+/** Values at both ends and the middle of an axis whose error slopes, each with its band. */
+function alongTravel(along, name, band = null) {
+  if (along === null) return UNKNOWN;
+  return along.position.map((place, at) => {
+    const spread = band === null ? '' : ` ± ${micrometres(along[band][at], {digits: 1})}`;
+    return `${millimetres(place)}: ${micrometres(along[name][at], {signed: true, digits: 1})}${spread}`;
+  }).join(', ');
+}
+
 /** The table above the plots of offsets. */
 export function buildOffsets(panel) {
   const axes = sheet('Offsets now', [
@@ -51,6 +60,8 @@ export function buildOffsets(panel) {
     ['share of the limit', ({share}) => percent(share, 1)],
     ['slope', ({slope}) => quantity(slope === null ? null : slope * 1e6, 'µm/m', 2, true)],
     ['reference position', ({reference_position: place}) => millimetres(place)],
+    ['error along the travel', ({along}) => alongTravel(along, 'error', 'band')],
+    ['offset along the travel', ({along}) => alongTravel(along, 'offset')],
     ['limited by', ({limited}) => limits(limited) || 'nothing', true],
   ]);
   panel.prepend(axes.element);

@@ -700,3 +700,41 @@ def test_the_first_place_of_an_axis_is_its_probe():
     view.take('displacement', record, 0.0)
     (axis,) = (item for item in view.document(0.0)['axes'] if item['axis'] == 'Y')
     assert axis['probe']['measured'] == 1e-6
+
+
+def sloping(travel='["Y:-0.4:0.0"]', **more):
+    """Return the axis Y of a machine whose error slopes along it."""
+    view = running()
+    view.take_configuration(configuration(parameters=f'{{"travel": {travel}}}'))
+    along = {
+        'slope': np.array([-100e-6]),
+        'slope_deviation': np.array([4e-6]),
+        'reference_position': np.array([-0.2]),
+    }
+    view.take('thermal_error', error(1, axes=('Y',), **{**along, **more}), 0.0)
+    view.take('compensation', compensation(1), 0.0)
+    return next(axis for axis in view.document(0.1)['axes'] if axis['axis'] == 'Y')
+
+
+def test_an_error_that_slopes_is_shown_at_both_ends_and_the_middle():
+    axis = sloping()
+    along = axis['along']
+    assert along['position'] == [-0.4, -0.2, 0.0]
+    middle = axis['predicted']
+    assert along['error'] == pytest.approx([middle + 20e-6, middle, middle - 20e-6])
+    ends = 2.0 * np.hypot(1e-6, 0.8e-6)
+    assert along['band'] == pytest.approx([ends, 2e-6, ends])
+    assert along['offset'] == pytest.approx([-3.06e-6, -3.04e-6, -3.02e-6])
+
+
+@pytest.mark.parametrize(
+    ('travel', 'more'),
+    [
+        ('[]', {}),
+        ('"Y"', {}),
+        ('["Y:a:b"]', {}),
+        ('["Y:-0.4:0.0"]', {'slope': np.array([np.nan])}),
+    ],
+)
+def test_nothing_is_shown_along_an_axis_of_which_nothing_is_known(travel, more):
+    assert sloping(travel, **more)['along'] is None

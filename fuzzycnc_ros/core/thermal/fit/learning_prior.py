@@ -21,6 +21,7 @@ from fuzzycnc_ros.core.thermal.learning import (
     Probe,
     Scales,
 )
+from fuzzycnc_ros.core.thermal.places import motion_of, moving_axes
 from fuzzycnc_ros.core.thermal.prior import LAGS, MODEL_SHARE, LearningPrior
 from fuzzycnc_ros.core.thermal.run import ThermalRun
 
@@ -87,24 +88,27 @@ def learning_prior(
     LearningPrior or None
         None if the model has more inputs than can be learnt from.
     """
+    motion = moving_axes(runs[0].channel, [run.drives for run in runs])
     try:
-        basis = Basis(len(inputs), speed, runs[0].interval, LAGS)
+        basis = Basis(len(inputs), speed, runs[0].interval, LAGS, len(motion))
     except ValueError:
         return None
     samples = _Samples(
         run=thermal_cycles(runs[0]) if len(runs) == 1 else data.label,
         time=np.concatenate([run.time for run in runs]),
-        features=np.concatenate([_features(basis, run, inputs) for run in runs]),
+        features=np.concatenate([_features(basis, run, inputs, motion) for run in runs]),
         displacement=data.displacement,
     )
+    # Weights that read the motion of axes know what most models do not: no mean of equals.
+    part = 0.0 if motion else MODEL_SHARE
     known, share = [], []
     for channel in range(len(runs[0].channel)):
         probes = list(_probes(samples, channel))
         found = Posterior.studied(basis, probes, EXPECTED_OF_RUNS)
-        lost = _lost(basis, samples, channel, found.scales, data, unseen)
-        known.append(_of_another_run(found, mean=0.0 if lost else 1.0 - MODEL_SHARE))
-        share.append(1.0 if lost else MODEL_SHARE)
-    return LearningPrior(basis, tuple(known), tuple(share))
+        lost = _lost(basis, samples, channel, found.scales, data, unseen, part)
+        known.append(_of_another_run(found, part, mean=0.0 if lost else 1.0 - part))
+        share.append(1.0 if lost else part)
+    return LearningPrior(basis, tuple(known), tuple(share), motion)
 
 
 def _lost(
@@ -114,6 +118,7 @@ def _lost(
     scales: Scales,
     data: TrainingSet,
     unseen: Sequence[Array],
+    part: float,
 ) -> bool:
     """Return whether the model alone is better than with the weights, on what neither had seen."""
     alone, both = [], []
@@ -125,16 +130,14 @@ def _lost(
         missed = samples.displacement[tested, channel] - expected
         alone.append(mean_of_square(left[:, [channel]]))
         both.append(
-            mean_of_square(
-                MODEL_SHARE * left[:, [channel]] + (1.0 - MODEL_SHARE) * missed[:, np.newaxis]
-            )
+            mean_of_square(part * left[:, [channel]] + (1.0 - part) * missed[:, np.newaxis])
         )
     return better(np.array(alone), np.array(both), independent_folds(data.folds))
 
 
-def _of_another_run(known: Knowledge, mean: float) -> Knowledge:
+def _of_another_run(known: Knowledge, part: float, mean: float) -> Knowledge:
     """Return what is known of the weights' share of an error, with the drift of an unseen run."""
-    rest = 1.0 - MODEL_SHARE
+    rest = 1.0 - part
     rise, speed, drift, change = known.scales
     return Knowledge(
         scales=Scales(rest * rise, rest * speed, UNSEEN * drift, change),
@@ -144,12 +147,15 @@ def _of_another_run(known: Knowledge, mean: float) -> Knowledge:
     )
 
 
-def _features(basis: Basis, run: ThermalRun, inputs: Sequence[str]) -> Array:
+def _features(
+    basis: Basis, run: ThermalRun, inputs: Sequence[str], motion: Sequence[str]
+) -> Array:
     speeds = run.spindle_speed if basis.speed else None
     features, state = [], basis.initial_state()
+    moved = motion_of(run.drives, motion, len(run.time))
     for row, rise in enumerate(run.rise()[:, run.columns(inputs)]):
         now = 0.0 if speeds is None else float(speeds[row])
-        found, state = basis.step(rise, now, state)
+        found, state = basis.step(rise, now, state, moved[row])
         features.append(found)
     return np.array(features)
 
