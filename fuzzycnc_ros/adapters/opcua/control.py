@@ -15,15 +15,10 @@ import numpy as np
 from fuzzycnc_ros.adapters.controller import Controller
 from fuzzycnc_ros.adapters.link import LinkError, trouble_in_words
 from fuzzycnc_ros.adapters.loops import ConnectionLoop
-from fuzzycnc_ros.adapters.opcua.offset_lines import (
-    LineLimits,
-    LineOrders,
-    Lines,
-    LineStatus,
-    Travel,
-)
+from fuzzycnc_ros.adapters.opcua.offset_lines import LineLimits, LineOrders, LineStatus
 from fuzzycnc_ros.adapters.opcua.session import OpcUaSession, Server
 from fuzzycnc_ros.adapters.opcua.variables import ControlVariable, Variables
+from fuzzycnc_ros.core.inputs.lines import Lines, Travel
 from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import Floats, Names
 

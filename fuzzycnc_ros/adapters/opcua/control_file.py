@@ -14,7 +14,6 @@ import numpy as np
 
 from fuzzycnc_ros.adapters.opcua.control import ControlFile
 from fuzzycnc_ros.adapters.opcua.file_fields import PlaceFields, ServerFields, pin_folder
-from fuzzycnc_ros.adapters.opcua.offset_lines import Travel
 from fuzzycnc_ros.adapters.opcua.session import Address, node_id_trouble
 from fuzzycnc_ros.adapters.opcua.variables import ControlVariable, Kind
 from fuzzycnc_ros.adapters.readings.device_fields import Scale, SpeedUnit
@@ -28,6 +27,7 @@ from fuzzycnc_ros.adapters.yaml_model import (
     read_file,
     wrong,
 )
+from fuzzycnc_ros.core.inputs.lines import Travel
 from fuzzycnc_ros.core.inputs.offsets import AXES
 from fuzzycnc_ros.core.units import LENGTHS, SPEEDS
 from fuzzycnc_ros.ros.parameters import ParameterError

@@ -10,7 +10,8 @@ from collections import deque
 
 import numpy as np
 
-from fuzzycnc_ros.adapters.opcua.offset_lines import LineOrders, Lines, LineStatus
+from fuzzycnc_ros.adapters.opcua.offset_lines import LineOrders, LineStatus
+from fuzzycnc_ros.core.inputs.lines import Lines
 from fuzzycnc_ros.runtime.records import SECOND, Floats, nanoseconds
 
 NUMBERS = 32767

@@ -9,7 +9,7 @@ from benches.line_rig import CYCLE, SLEW, TRAVEL, Rig, settled
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.adapters.opcua.offset_lines import Travel
+from fuzzycnc_ros.core.inputs.lines import Travel
 from fuzzycnc_ros.runtime.enums import AppliedStatus
 
 

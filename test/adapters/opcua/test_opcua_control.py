@@ -25,8 +25,9 @@ from fuzzycnc_ros.adapters.link import LinkError
 from fuzzycnc_ros.adapters.opcua.control import OpcUaControl
 from fuzzycnc_ros.adapters.opcua.control_file import ControlFields, check_axes, read_control
 from fuzzycnc_ros.adapters.opcua.file_fields import read_credentials
-from fuzzycnc_ros.adapters.opcua.offset_lines import LineOrders, Lines
+from fuzzycnc_ros.adapters.opcua.offset_lines import LineOrders
 from fuzzycnc_ros.adapters.threaded import ThreadedController
+from fuzzycnc_ros.core.inputs.lines import Lines
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.runtime.enums import MachineMode
 

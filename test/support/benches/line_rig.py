@@ -7,8 +7,9 @@ from benches.bridge_bench import BridgeRig
 from benches.component_bench import Bench
 from benches.line_control import LineControl
 
-from fuzzycnc_ros.adapters.opcua.offset_lines import LineLimits, Lines, LineStatus, Travel
+from fuzzycnc_ros.adapters.opcua.offset_lines import LineLimits, LineStatus
 from fuzzycnc_ros.adapters.opcua.opcua_bridge import OpcuaBridge, OpcuaBridgeConfig
+from fuzzycnc_ros.core.inputs.lines import Lines, Travel
 from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
 from fuzzycnc_ros.runtime.records import nanoseconds
 

@@ -1,0 +1,67 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""Offsets along axes as lines K0 + slope (x - P0).
+
+A line is guarded by its values at the two ends of the travel: if both stay within a size and move
+no faster than a rate, the offset at any place between them does too.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lines:
+    """One line per axis: offset + slope (x - reference_position)."""
+
+    offset: Floats
+    """K0, at the reference position [m]."""
+    slope: Floats
+    """Offset per length of travel [-]."""
+    reference_position: Floats
+    """P0 [m]."""
+
+    @classmethod
+    def constant(cls, offset: Floats) -> 'Lines':
+        """Return lines that have an offset [m] everywhere."""
+        zero = np.zeros_like(offset)
+        return cls(offset=offset, slope=zero, reference_position=zero)
+
+    def at(self, position: Floats) -> Floats:
+        """Return the offsets at a position [m]; NaN where it is unknown and matters."""
+        travel = np.where(self.slope == 0.0, 0.0, position - self.reference_position)
+        return np.asarray(self.offset + self.slope * travel)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Travel:
+    """The travel of each axis; both ends are the same where the control takes no slope."""
+
+    low: Floats
+    """[m]"""
+    high: Floats
+    """[m]"""
+
+    @property
+    def sloping(self) -> NDArray[np.bool_]:
+        """Whether each axis takes a slope."""
+        return np.asarray(self.high > self.low, bool)
+
+    def ends(self, lines: Lines) -> Floats:
+        """Return the offsets at the lower ends, then those at the upper ends [m]."""
+        return np.concatenate([self._at(lines, self.low), self._at(lines, self.high)])
+
+    def lines(self, ends: Floats, reference_position: Floats) -> Lines:
+        """Return the lines through offsets at the ends [m]."""
+        low, high = np.split(ends, 2)
+        span = np.where(self.sloping, self.high - self.low, 1.0)
+        slope = np.where(self.sloping, (high - low) / span, 0.0)
+        offset = low + slope * (reference_position - self.low)
+        return Lines(offset=np.asarray(offset), slope=slope, reference_position=reference_position)
+
+    def _at(self, lines: Lines, place: Floats) -> Floats:
+        return lines.at(np.where(self.sloping, place, lines.reference_position))
