@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError, linuxcnc_runs
+from fuzzycnc_ros.adapters.linuxcnc.hal_process import HAL_FILES
 from fuzzycnc_ros.ros.processes import child_set_up
 
 PYTHON = '/usr/bin/python3'
@@ -47,7 +48,7 @@ TOOL_TABLE = tool.tbl
 [HAL]
 HALUI = halui
 HALFILE = machine.hal
-HALFILE = fuzzycnc.hal
+HALFILE = {hal}
 [TRAJ]
 COORDINATES = XYZ
 LINEAR_UNITS = mm
@@ -96,17 +97,22 @@ class LinuxcncSimulation:
     ----------
     folder : Path
         Where its files go.
+    slopes : bool
+        Whether offsets may slope along an axis: needs the component `fuzzycnc_offset`.
     **section : float
         Lines of the section `[FUZZYCNC]` that differ.
     """
 
-    def __init__(self, folder: Path, **section: float) -> None:
+    def __init__(self, folder: Path, *, slopes: bool = False, **section: float) -> None:
         self._folder = folder
+        self._hal = HAL_FILES[slopes]
         self._section = {
             'SCALE': 0.00001,
             'COUNTS_MAX': 10000,
             'COUNTS_MIN': -10000,
             'COUNTS_PER_SECOND': 100000,
+            'SLOPE_MAX': 50,
+            'SPEED_MAX': 1000,
             'HOLD_TIME': 6.0,
             **section,
         }
@@ -247,10 +253,10 @@ class LinuxcncSimulation:
         folder = self._folder
         lines = ['[FUZZYCNC]', *(f'{name} = {value}' for name, value in self._section.items())]
         axes = (AXIS.format(axis=axis, joint=joint) for joint, axis in enumerate('XYZ'))
-        (folder / 'test.ini').write_text('\n'.join([INI, *lines, *axes]))
+        (folder / 'test.ini').write_text('\n'.join([INI.format(hal=self._hal), *lines, *axes]))
         (folder / 'machine.hal').write_text(HAL)
         (folder / 'tool.tbl').write_text('')
-        shutil.copy(_hal_file(), folder)
+        shutil.copy(shipped(self._hal), folder)
         driver = folder / 'driver'
         source = Path(__file__).with_name('operator_process.py')
         driver.write_text(f'#!/bin/sh\nexec {PYTHON} -I {source} "$@"\n')
@@ -260,14 +266,14 @@ class LinuxcncSimulation:
             folder.chmod(0o755)
 
 
-def _hal_file() -> Path:
-    """Return the shipped HAL file: of the sources, or where they were installed."""
-    sources = Path(__file__).parents[3] / 'linuxcnc' / 'fuzzycnc.hal'
+def shipped(name: str) -> Path:
+    """Return a shipped file for LinuxCNC: of the sources, or where they were installed."""
+    sources = Path(__file__).parents[3] / 'linuxcnc' / name
     if sources.exists():
         return sources
     from ament_index_python.packages import get_package_share_directory
 
-    return Path(get_package_share_directory('fuzzycnc_ros')) / 'linuxcnc' / 'fuzzycnc.hal'
+    return Path(get_package_share_directory('fuzzycnc_ros')) / 'linuxcnc' / name
 
 
 @contextlib.contextmanager

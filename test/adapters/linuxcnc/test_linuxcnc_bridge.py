@@ -127,7 +127,7 @@ def test_line_follows_the_axis_between_two_cycles():
     assert rig.at((30, 0, 0))
     told = rig.bridge.orders
     rig.controller.position = np.array([-0.1, 0, 0])
-    rig.controller.cycle(speed=1.0)
+    rig.controller.cycle(steps=1000)
     np.testing.assert_allclose(rig.controller.applied[0], -10e-6, atol=SCALE)
     assert rig.bridge.orders is told
     rig.run(0.5)

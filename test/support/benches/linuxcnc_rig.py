@@ -117,8 +117,8 @@ class ThreadController(Controller):
         ):
             thread.aim(*line)
 
-    def cycle(self, speed=None):
-        """Let the servo thread run for a cycle, or for the way at a speed [m/s]."""
+    def cycle(self, steps=10):
+        """Let the servo thread run for a cycle, or another number of its periods."""
         ready = self.on and self.homed
         self.tick += 1
         self.alive = self.silent <= HOLD
@@ -129,7 +129,6 @@ class ThreadController(Controller):
                 thread.aim(0.0, 0.0, 0.0)
             tracks = ready and self.enable and self.tracking
             begin = thread.line.position
-            steps = 10 if speed is None else 1000
             for step in range(steps):
                 place = begin + (self.position[axis] - begin) * (step + 1) / steps
                 thread.step(tracks, place, CYCLE / 10)
