@@ -7,7 +7,7 @@ Works out offset + slope * (position - reference) for up to nine axes in every s
 its own limits, and goes to zero when nobody speaks.  Offsets are in counts, lengths in units of the
 machine.  \\fBnames=\\fR one name, \\fBpersonality=\\fR number of axes.
 
-A set of numbers is taken as a whole: write offset, slope, reference and valid\\-for of all axes,
+A set of numbers is taken as a whole: write offset, slope and reference of all axes, limit and valid\\-for,
 then another number to \\fBsequence\\fR; write the next one when \\fBacknowledged\\fR has that
 number.  A set that is not finite is never taken.
 """;
@@ -21,6 +21,7 @@ pin in bit teleop "position is that of the axis in this mode";
 pin in bit coordinated "and in this one; in neither, as in joint mode, offsets stay as they are";
 pin in bit on "eoffset-enable; while it is off offsets stay as they are";
 pin in s32 sequence "number of the set; another one says that all of it is written";
+pin in float limit "largest offset of this set, if it is below size-max [counts]";
 pin in float valid_for "how long to follow this set without another one [s]";
 
 pin in float offset-#[9 : personality] "at the reference [counts]";
@@ -50,6 +51,7 @@ param rw float min-#[9 : personality] "lower end of the travel [units]";
 param rw float max-#[9 : personality] "upper end; no slope where it is not above the lower one";
 
 variable fuzzycnc_line lines[9];
+variable double bound;
 variable double silence = 1e9;
 variable double age;
 variable double validity;
@@ -63,7 +65,7 @@ author "The fuzzycnc authors";
 ;;
 
 FUNCTION(_) {
-    const fuzzycnc_limits limits = {size_max, rate_max, slope_max, speed_max};
+    fuzzycnc_limits limits = {bound, rate_max, slope_max, speed_max};
     int axis, finite;
 
     /* Is the machine ready, does somebody speak? */
@@ -84,7 +86,7 @@ FUNCTION(_) {
     if (sequence != seen) {
         seen = sequence;
     } else if (seen != acknowledged) {
-        finite = fuzzycnc_finite(valid_for);
+        finite = fuzzycnc_finite(valid_for) && limit >= 0.0;
         for (axis = 0; axis < personality; axis++)
             finite = finite && fuzzycnc_finite(offset(axis)) && fuzzycnc_finite(slope(axis)) &&
                      fuzzycnc_finite(reference(axis));
@@ -93,6 +95,7 @@ FUNCTION(_) {
             following = alive && !clear;
             age = 0.0;
             validity = valid_for;
+            limits.size = bound = limit < size_max ? limit : size_max;
             for (axis = 0; axis < personality; axis++) {
                 lines[axis].min = min(axis);
                 lines[axis].max = max(axis);

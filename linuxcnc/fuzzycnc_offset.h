@@ -4,9 +4,10 @@
  * Offset along one axis, at the servo rate: offset + slope (x - reference), with its own limits.
  *
  * Offsets are in counts, lengths in units of the machine, times in seconds.  A line is kept as its
- * values at the two ends of the travel: where both stay within the size limit and change no faster
- * than the rate limit, every place between them does.  Along the line the offset follows the axis,
- * as fast as an axis can move; a position that leaps further moves nothing at once.
+ * values at the two ends of the travel: where both change no faster than the rate limit, every
+ * place between them does, and also where the size limit cuts the line.  Along the line the offset
+ * follows the axis, as fast as an axis can move; a position that leaps further moves nothing at
+ * once.
  *
  * No libm, no allocation, no global state: the component includes it, and so does a test.
  */
@@ -46,26 +47,30 @@ static inline int fuzzycnc_slopes(const fuzzycnc_line *line)
 }
 
 /* Offset of the line in force at a place [counts]. */
-static inline double fuzzycnc_at(const fuzzycnc_line *line, double place)
+static inline double fuzzycnc_at(const fuzzycnc_line *line, const fuzzycnc_limits *limits,
+                                 double place)
 {
-    if (!fuzzycnc_slopes(line))
-        return line->low;
-    if (place <= line->min)
-        return line->low;
-    if (place >= line->max)
-        return line->high;
-    return line->low + (line->high - line->low) * ((place - line->min) / (line->max - line->min));
+    double share = fuzzycnc_slopes(line) ? (place - line->min) / (line->max - line->min) : 0.0;
+
+    share = share < 0.0 ? 0.0 : share > 1.0 ? 1.0 : share;
+    return fuzzycnc_within(line->low + (line->high - line->low) * share, limits->size);
 }
 
-/* Go to a line from now on; too steep a one is cut, and so are ends beyond the size limit. */
-static inline void fuzzycnc_aim(fuzzycnc_line *line, const fuzzycnc_limits *limits,
-                                double offset, double slope, double reference)
+/* Go to a line from now on; too steep a one is cut. */
+static inline void fuzzycnc_aim(fuzzycnc_line *line, const fuzzycnc_limits *limits, double offset,
+                                double slope, double reference)
 {
-    double steep = fuzzycnc_slopes(line) ? fuzzycnc_within(slope, limits->slope) : 0.0;
-    line->to_low = fuzzycnc_within(offset + steep * (line->min - reference), limits->size);
-    line->to_high = fuzzycnc_within(offset + steep * (line->max - reference), limits->size);
-    if (!fuzzycnc_slopes(line))
-        line->to_low = line->to_high = fuzzycnc_within(offset, limits->size);
+    double most = limits->size; /* a line that stays beyond the size limit is brought nearer */
+
+    line->to_low = line->to_high = offset;
+    if (fuzzycnc_slopes(line)) {
+        slope = fuzzycnc_within(slope, limits->slope);
+        most += limits->slope * (line->max - line->min);
+        line->to_low += slope * (line->min - reference);
+        line->to_high += slope * (line->max - reference);
+    }
+    line->to_low = fuzzycnc_within(line->to_low, most);
+    line->to_high = fuzzycnc_within(line->to_high, most);
 }
 
 /* Have no offset, at once: the machine takes none. */
@@ -83,23 +88,28 @@ static inline double fuzzycnc_step(fuzzycnc_line *line,
 {
     double reach = limits->rate * period;
     double carried = line->value;
+    double most = limits->size; /* not below what stands: a limit that sinks is no leap */
     double moved;
 
+    if (most < carried)
+        most = carried;
+    if (most < -carried)
+        most = -carried;
     tracks = tracks && fuzzycnc_finite(position);
     if (tracks && line->known) {
         moved = position - line->position;
         if (moved < 0.0)
             moved = -moved;
         if (moved <= limits->speed * period)
-            carried += fuzzycnc_at(line, position) - fuzzycnc_at(line, line->position);
+            carried += fuzzycnc_at(line, limits, position) - fuzzycnc_at(line, limits, line->position);
     }
     line->low += fuzzycnc_within(line->to_low - line->low, reach);
     line->high += fuzzycnc_within(line->to_high - line->high, reach);
     line->known = tracks;
     if (tracks) {
         line->position = position;
-        line->value = carried + fuzzycnc_within(fuzzycnc_at(line, position) - carried, reach);
-        line->value = fuzzycnc_within(line->value, limits->size);
+        carried = fuzzycnc_within(carried, most);
+        line->value = carried + fuzzycnc_within(fuzzycnc_at(line, limits, position) - carried, reach);
     }
     return line->value;
 }

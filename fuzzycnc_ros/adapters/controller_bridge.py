@@ -318,6 +318,10 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         """Return the largest offset of each axis [m]."""
         return np.full(len(self._axes), self._config.offset_max)
 
+    def _most_at_ends(self, status: StatusT) -> Floats:
+        """Return the largest offsets at the lower ends of the travel, then at the upper [m]."""
+        return np.tile(self._most(status), 2)
+
     @property
     def _places(self) -> Names:
         """What the offset input guards an offset of: the lower ends of the travel, the upper."""
@@ -350,7 +354,7 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         full['slope'] = np.clip(full['slope'], -self._config.slope_max, self._config.slope_max)
         lines = Lines(**full)
         wanted = travel.ends(lines)
-        most = np.tile(self._most(status), 2)
+        most = self._most_at_ends(status)
         cut = np.clip(wanted, -most, most)
         answer = self._input.command(
             command.epoch,

@@ -44,6 +44,11 @@ class Rig(BridgeRig):
         self.controller, self._folder = controller, folder
         self.trace = None
 
+    @property
+    def gantry(self):
+        """Whether X has two joints."""
+        return 'X' in self.controller.letters[1:]
+
     def start(self):
         """Start LinuxCNC, and sample it in every servo period from then on."""
         self.controller.start()
@@ -98,23 +103,20 @@ class Rig(BridgeRig):
 
 
 @pytest.fixture
-def rig(graph, observer):
-    """A LinuxCNC that takes slopes, homed and on."""
+def rig(graph, observer, request):
+    """A LinuxCNC that takes slopes, homed and on; X may be a gantry of two joints."""
     with exclusive(slopes=True), contextlib.ExitStack() as stack:
         folder = Path(tempfile.mkdtemp(prefix='fuzzycnc-linuxcnc-'))
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
         section = {'COUNTS_PER_SECOND': RATE / COUNT, 'HOLD_TIME': HOLD}
-        controller = LinuxcncMachine(folder, slopes=True, **section)
+        controller = LinuxcncMachine(
+            folder, slopes=True, letters=getattr(request, 'param', 'XYZ'), **section
+        )
         stack.callback(controller.end)
         found = Rig(graph, observer, controller, folder)
         stack.callback(found.close)
         found.start()
         yield found
-
-
-def thermal_steps(found):
-    """Return how far the request went in each period, less what its line and the way explain."""
-    return np.diff(found.request)
 
 
 def test_what_is_asked_for_is_the_line_at_the_commanded_position(rig):
@@ -194,6 +196,7 @@ def test_off_on_and_homed_anew_away_from_the_reference(rig):
     assert step[ready].max() <= RATE * 1.5 * PERIOD + 2 * COUNT
 
 
+@pytest.mark.parametrize('rig', ['XYZ', 'XYZX'], indirect=True)
 def test_joint_mode_moves_no_offset_and_leaps_nowhere_after_it(rig):
     """The position of the axis is an old one there; the joint is moved by 100 mm meanwhile."""
     rig.bring_line()
@@ -201,7 +204,8 @@ def test_joint_mode_moves_no_offset_and_leaps_nowhere_after_it(rig):
     rig.renew()
     rig.controller.joints()
     rig.until(lambda: rig.controller.halcmd('gets', 'fuzzycnc-tracking') == 'FALSE', 'seen')
-    rig.controller.jog(0, 100.0, 50.0)
+    for joint in (0, 3) if rig.gantry else (0,):
+        rig.controller.jog(joint, 100.0, 50.0)
     rig.command((20, 0, 0), **LINE)
     rig.until(lambda: 'offsets do not move in joint mode' in rig.last.reason, 'told')
     assert rig.at((10, 0, 0))
@@ -210,8 +214,9 @@ def test_joint_mode_moves_no_offset_and_leaps_nowhere_after_it(rig):
     found = rig.stop()
     assert found.position[-1] == pytest.approx(0.15, abs=1e-4)
     assert found.request[-1] == pytest.approx(20 * MICRON + SLOPE * 0.1, abs=0.05 * MICRON)
-    left = np.flatnonzero(~found.tracking)
-    inside = found.request[left[0] + 2 : left[-1]]
+    begin = np.flatnonzero(found.tracking[:-1] & ~found.tracking[1:])[-1]
+    end = begin + np.flatnonzero(found.tracking[begin + 1 :])[0]
+    inside = found.request[begin + 2 : end]
     assert np.ptp(inside) <= COUNT
     speed = np.abs(np.diff(found.position)) / PERIOD
     quiet = speed < 1e-3

@@ -94,6 +94,7 @@ class Linuxcnc(Controller[ControllerStatus, ControllerOutput, ControllerLimits])
             'offset': orders.counts.tolist(),
             'slope': (orders.slope * self._metre).tolist(),
             'reference': (orders.reference / self._metre).tolist(),
+            'limit': orders.limit,
             'rezero': orders.rezero,
             'due': self.probe_due,
         }

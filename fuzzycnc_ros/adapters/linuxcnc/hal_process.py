@@ -117,7 +117,7 @@ class Bridge:
         axis_writes = LINE if self._slopes else ('counts',)
         if self._slopes:
             reads += [('acknowledged', 's'), ('following', 'b'), ('tracking', 'b')]
-            writes += [('sequence', 's'), ('valid-for', 'f')]
+            writes += [('sequence', 's'), ('valid-for', 'f'), ('limit', 'f')]
             axis_reads += [('low', 'f'), ('high', 'f'), ('base', 'f')]
         for axis in axes:
             reads += [(f'{name}-{axis}', kind) for name, kind in axis_reads]
@@ -242,6 +242,7 @@ class Bridge:
         for name in LINE:
             for axis, value in zip(self._axes, lines[name], strict=True):
                 self._out[f'{name}-{axis}'].value = value
+        self._out['limit'].value = lines['limit']
         self._out['valid-for'].value = VALID_FOR
         self._out['sequence'].value = number % NUMBERS + 1
         self._set, self._set_at = lines, now
@@ -324,7 +325,7 @@ def serve(bridge, memory):
             elif operation == 'release':
                 bridge.release()
             elif operation == 'write':
-                bridge.write({name: request[name] for name in LINE}, request['rezero'])
+                bridge.write({name: request[name] for name in (*LINE, 'limit')}, request['rezero'])
             elif operation == 'limits':
                 answer(bridge.limits())
                 continue

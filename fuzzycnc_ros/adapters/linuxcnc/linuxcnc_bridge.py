@@ -9,6 +9,7 @@ import numpy as np
 
 from fuzzycnc_ros.adapters.controller_bridge import (
     CLOSE,
+    NOTHING,
     SETTLING,
     ControllerBridge,
     ControllerBridgeConfig,
@@ -22,9 +23,13 @@ from fuzzycnc_ros.adapters.linuxcnc.status import (
 )
 from fuzzycnc_ros.core.config import param
 from fuzzycnc_ros.core.inputs.lines import Lines, Travel
+from fuzzycnc_ros.core.inputs.offset_input import OffsetInputConfig
 from fuzzycnc_ros.core.inputs.offsets import describe
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.records import Bools, Floats, nanoseconds
+
+END_MAX = 1e-3
+"""Largest offset that a line may have at an end of the travel [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,8 +77,8 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
             return False
         wanted = Lines(
             offset=orders.counts, slope=orders.slope, reference_position=orders.reference
-        )
-        apart = wanted.at(status.position) - status.counts
+        ).at(status.position)
+        apart = np.clip(wanted, -orders.limit, orders.limit) - status.counts
         return bool(
             np.any(np.abs(apart) > 1.0) or np.any(np.abs(status.applied - status.register) > CLOSE)
         )
@@ -102,7 +107,7 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
         self._holding = True
         self._registers.restart()
         self._resume(status)
-        self._orders = self._registers.output(status.standing, status)
+        self._orders = self._output(status.standing, status)
 
     def refusal(self, limits: ControllerLimits, status: ControllerStatus) -> str:
         """Say why offsets must not be written with the limits of the HAL file; empty if fine."""
@@ -139,7 +144,7 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
         ends = self._input.advance(self._time)
         if self._holding:
             wanted = status.travel.lines(ends, self._reference)
-            self._orders = self._registers.output(wanted, status)
+            self._orders = self._output(wanted, status)
             if not self._active and self.at_rest:
                 self._holding, self._orders = False, None
         self._watch(status)
@@ -147,6 +152,19 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
 
     def _forget(self) -> None:
         self._registers = OffsetRegisters(len(self._axes))
+
+    def _output(self, wanted: Lines, status: ControllerStatus) -> ControllerOutput:
+        return self._registers.output(wanted, status, self._config.offset_max)
+
+    def _most_at_ends(self, status: ControllerStatus) -> Floats:
+        # The servo thread cuts at the place where the axis is.
+        span = status.travel.high - status.travel.low
+        return np.tile(self._most(status) + self._config.slope_max * span, 2)
+
+    @property
+    def _limits(self) -> OffsetInputConfig:
+        # A command has been cut before; its ends may be larger than what stands anywhere.
+        return replace(super()._limits, offset_max=END_MAX)
 
     def _travel_of(self, status: ControllerStatus) -> Travel:
         return status.travel
@@ -216,7 +234,7 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
         return np.asarray(apart & status.soft_limited, bool)
 
     def _limited(self, status: ControllerStatus) -> Bools:
-        guard = (self._clipped | self._steep) & self._leads
+        guard = (self._beyond(status) | self._steep) & self._leads
         return np.asarray(guard | self._cut(status), bool)
 
     def _complaint(self, status: ControllerStatus) -> str:
@@ -228,11 +246,11 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
                 'as a margin'
             )
         if self._apart_since is None or self._time - self._apart_since <= nanoseconds(SETTLING):
-            return self._cut_text(status, self._clipped)
+            return self._cut_text(status, self._beyond(status))
         standing = describe(self._axes, status.applied, np.abs(status.applied) > CLOSE)
         wanted = self._input_at(status)
         if np.all(np.abs(status.applied - wanted) <= CLOSE):
-            return self._cut_text(status, self._clipped)
+            return self._cut_text(status, self._beyond(status))
         return (
             f'LinuxCNC stays at {standing or "zero"} instead of '
             f'{describe(self._axes, wanted) or "zero"}; offsets do not move in joint mode'
@@ -240,5 +258,14 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
 
     def _input_at(self, status: ControllerStatus) -> Floats:
         """Return the offsets that the guard allows where the axes are [m]."""
+        return np.clip(self._asked_at(status), -self._config.offset_max, self._config.offset_max)
+
+    def _asked_at(self, status: ControllerStatus) -> Floats:
+        """Return the offsets of the lines in force where the axes are [m]."""
         lines = status.travel.lines(self._input.applied, self._reference)
         return lines.at(np.where(np.isnan(status.position), 0.0, status.position))
+
+    def _beyond(self, status: ControllerStatus) -> Bools:
+        """Whether the size limit cuts the line of each axis where it is, or at an end."""
+        here = np.abs(self._asked_at(status)) > self._config.offset_max + NOTHING
+        return np.asarray(here | self._clipped, bool)

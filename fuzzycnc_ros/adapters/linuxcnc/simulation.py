@@ -50,7 +50,7 @@ HALUI = halui
 HALFILE = machine.hal
 HALFILE = {hal}
 [TRAJ]
-COORDINATES = XYZ
+COORDINATES = {letters}
 LINEAR_UNITS = mm
 ANGULAR_UNITS = degree
 MAX_LINEAR_VELOCITY = 500
@@ -58,8 +58,8 @@ DEFAULT_LINEAR_VELOCITY = 100
 DEFAULT_LINEAR_ACCELERATION = 2500
 MAX_LINEAR_ACCELERATION = 2500
 [KINS]
-KINEMATICS = trivkins coordinates=XYZ
-JOINTS = 3
+KINEMATICS = trivkins coordinates={letters} kinstype=BOTH
+JOINTS = {joints}
 """
 AXIS = """
 [AXIS_{axis}]
@@ -68,6 +68,8 @@ MAX_VELOCITY = 500
 MAX_ACCELERATION = 2500
 MIN_LIMIT = -200
 MAX_LIMIT = 200
+"""
+JOINT = """
 [JOINT_{joint}]
 TYPE = LINEAR
 HOME_SEQUENCE = 0
@@ -81,13 +83,11 @@ loadrt [KINS]KINEMATICS
 loadrt [EMCMOT]EMCMOT servo_period_nsec=[EMCMOT]SERVO_PERIOD num_joints=[KINS]JOINTS
 addf motion-command-handler servo-thread
 addf motion-controller servo-thread
-net J0 joint.0.motor-pos-cmd => joint.0.motor-pos-fb
-net J1 joint.1.motor-pos-cmd => joint.1.motor-pos-fb
-net J2 joint.2.motor-pos-cmd => joint.2.motor-pos-fb
 net estop-loop iocontrol.0.user-enable-out iocontrol.0.emc-enable-in
 net tool-prep-loop iocontrol.0.tool-prepare iocontrol.0.tool-prepared
 net tool-change-loop iocontrol.0.tool-change iocontrol.0.tool-changed
 """
+JOINT_HAL = 'net J{joint} joint.{joint}.motor-pos-cmd => joint.{joint}.motor-pos-fb'
 
 
 class LinuxcncSimulation:
@@ -99,12 +99,16 @@ class LinuxcncSimulation:
         Where its files go.
     slopes : bool
         Whether offsets may slope along an axis: needs the component `fuzzycnc_offset`.
+    letters : str
+        Axis of each joint; one with two joints is a gantry.
     **section : float
         Lines of the section `[FUZZYCNC]` that differ.
     """
 
-    def __init__(self, folder: Path, *, slopes: bool = False, **section: float) -> None:
-        self._folder = folder
+    def __init__(
+        self, folder: Path, *, slopes: bool = False, letters: str = 'XYZ', **section: float
+    ) -> None:
+        self._folder, self.letters = folder, letters
         self._hal = HAL_FILES[slopes]
         self._section = {
             'SCALE': 0.00001,
@@ -252,9 +256,13 @@ class LinuxcncSimulation:
     def _write_files(self) -> None:
         folder = self._folder
         lines = ['[FUZZYCNC]', *(f'{name} = {value}' for name, value in self._section.items())]
-        axes = (AXIS.format(axis=axis, joint=joint) for joint, axis in enumerate('XYZ'))
-        (folder / 'test.ini').write_text('\n'.join([INI.format(hal=self._hal), *lines, *axes]))
-        (folder / 'machine.hal').write_text(HAL)
+        letters = self.letters
+        ini = INI.format(hal=self._hal, letters=letters, joints=len(letters))
+        axes = [AXIS.format(axis=axis) for axis in dict.fromkeys(letters)]
+        joints = [JOINT.format(joint=joint) for joint in range(len(letters))]
+        (folder / 'test.ini').write_text('\n'.join([ini, *lines, *axes, *joints]))
+        nets = [JOINT_HAL.format(joint=joint) for joint in range(len(letters))]
+        (folder / 'machine.hal').write_text('\n'.join([HAL, *nets, '']))
         (folder / 'tool.tbl').write_text('')
         shutil.copy(shipped(self._hal), folder)
         driver = folder / 'driver'

@@ -76,6 +76,8 @@ class ControllerOutput:
     """[counts/m]"""
     reference: Floats
     """Positions at which the slopes have no effect [m]."""
+    limit: float
+    """Largest offset, wherever an axis is [counts]."""
     rezero: bool = False
     """Hold the registers at zero, whatever the counts do."""
 
@@ -167,11 +169,16 @@ class OffsetRegisters:
             self.phase, self.base = RegisterPhase.FOLLOWING, np.zeros_like(self.base)
         return False
 
-    def output(self, wanted: Lines, status: ControllerStatus) -> ControllerOutput:
-        """Return what to write so that the registers go to `wanted`."""
+    def output(
+        self, wanted: Lines, status: ControllerStatus, most: float = np.inf
+    ) -> ControllerOutput:
+        """Return what brings the registers to `wanted`, no further than `most` [m]."""
         zero = np.zeros_like(status.counts)
+        limit = most / float(np.min(status.scale))
         if self.phase is RegisterPhase.CLEARING:
-            return ControllerOutput(counts=zero, slope=zero, reference=zero, rezero=True)
+            return ControllerOutput(
+                counts=zero, slope=zero, reference=zero, limit=limit, rezero=True
+            )
         base, lines = self.base, wanted
         if self.phase is RegisterPhase.SETTLING:
             base, lines = zero, status.standing
@@ -180,4 +187,5 @@ class OffsetRegisters:
             counts=np.rint(counts) + 0.0 if status.lines is None else counts,
             slope=lines.slope / status.scale,
             reference=lines.reference_position,
+            limit=limit,
         )

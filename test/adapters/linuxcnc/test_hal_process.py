@@ -93,7 +93,7 @@ class Servo:
     def __init__(self):
         self.pins = {}
         names = [item['NAME'] for item in SIGNALS if 'counts-' not in item['NAME']]
-        more = ('acknowledged', 'following', 'tracking', 'sequence', 'valid-for')
+        more = ('acknowledged', 'following', 'tracking', 'sequence', 'valid-for', 'limit')
         names += [f'fuzzycnc-{name}' for name in more]
         names += [f'fuzzycnc-{name}-x' for name in ('low', 'high', 'base', *LINE)]
         self.hal = MagicMock()
@@ -105,7 +105,8 @@ class Servo:
         return self.pins.setdefault(name, SimpleNamespace(value=0))
 
     def write(self, offset):
-        self.bridge.write({'offset': [offset], 'slope': [0.5], 'reference': [10.0]}, False)
+        line = {'offset': [offset], 'slope': [0.5], 'reference': [10.0], 'limit': 6000.0}
+        self.bridge.write(line, False)
 
     def take(self):
         self.pins['acknowledged'].value = self.pins['sequence'].value

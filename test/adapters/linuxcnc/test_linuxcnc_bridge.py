@@ -135,15 +135,27 @@ def test_line_follows_the_axis_between_two_cycles():
     assert not rig.last.at_limit.any()
 
 
-def test_line_is_cut_at_the_ends_of_the_travel_and_in_slope():
+def test_line_is_cut_where_it_is_too_large_and_nowhere_else():
     rig = settled((0, 0, 0), controller=ThreadController())
-    rig.command((10, 0, 0), slope=(9e-4, 0, 0))
+    rig.command((10, 0, 0), slope=(4e-4, 0, 0))
     rig.run(5.0)
-    assert rig.last.at_limit.tolist() == [True, False, False]
-    assert 'X 60.00 um; slope of X cut at 500 um/m' in rig.last.reason
+    assert rig.at((10, 0, 0))
+    assert not rig.last.at_limit.any()
     rig.controller.position = np.array([0.3, 0, 0])
     rig.run(1.0)
     assert rig.at((60, 0, 0))
+    assert rig.last.at_limit.tolist() == [True, False, False]
+    assert 'cut at the limit of X 60.00 um' in rig.last.reason
+
+
+def test_too_steep_a_line_is_cut():
+    rig = settled((0, 0, 0), controller=ThreadController())
+    rig.command((10, 0, 0), slope=(9e-4, 0, 0))
+    rig.controller.position = np.array([0.05, 0, 0])
+    rig.run(5.0)
+    assert rig.at((35, 0, 0))
+    assert rig.last.at_limit.tolist() == [True, False, False]
+    assert rig.last.reason == 'slope of X cut at 500 um/m'
 
 
 def test_a_slope_without_a_travel_is_refused():

@@ -102,8 +102,13 @@ class ThreadController(Controller):
     def __init__(self, travel=0.3):
         super().__init__()
         self.travel = Travel(low=np.full(3, -travel), high=np.full(3, travel))
-        limits = OffsetLimits(size=10_000.0, rate=RATE, slope=0.01 / SCALE, speed=1.0)
-        self.threads = [OffsetThread(limits, -travel, travel) for _ in range(3)]
+        self.threads = [
+            OffsetThread(
+                OffsetLimits(size=10_000.0, rate=RATE, slope=0.01 / SCALE, speed=1.0),
+                *(-travel, travel),
+            )
+            for _ in range(3)
+        ]
         self.tracking = True
 
     def write(self, orders):
@@ -115,6 +120,7 @@ class ThreadController(Controller):
         for thread, *line in zip(
             self.threads, orders.counts, orders.slope, orders.reference, strict=True
         ):
+            thread.limits.size = min(10_000.0, orders.limit)
             thread.aim(*line)
 
     def cycle(self, steps=10):

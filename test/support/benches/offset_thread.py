@@ -14,7 +14,8 @@ SOURCE = f"""
 void aim(fuzzycnc_line *line, const fuzzycnc_limits *limits, double o, double s, double r)
 {{ fuzzycnc_aim(line, limits, o, s, r); }}
 void drop(fuzzycnc_line *line) {{ fuzzycnc_drop(line); }}
-double at(const fuzzycnc_line *line, double place) {{ return fuzzycnc_at(line, place); }}
+double at(const fuzzycnc_line *line, const fuzzycnc_limits *limits, double place)
+{{ return fuzzycnc_at(line, limits, place); }}
 double step(fuzzycnc_line *line, const fuzzycnc_limits *limits, int tracks, double x, double t)
 {{ return fuzzycnc_step(line, limits, tracks, x, t); }}
 """
@@ -49,7 +50,7 @@ def library():
         found = ctypes.CDLL(str(target))
     found.aim.argtypes = [ctypes.c_void_p, ctypes.c_void_p, *[ctypes.c_double] * 3]
     found.drop.argtypes = [ctypes.c_void_p]
-    found.at.argtypes = [ctypes.c_void_p, ctypes.c_double]
+    found.at.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double]
     found.step.argtypes = [
         *(ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int),
         *(ctypes.c_double, ctypes.c_double),
@@ -77,7 +78,7 @@ class OffsetThread:
 
     def at(self, place):
         """Return the offset of the line in force at a place."""
-        return self._library.at(self._line, place)
+        return self._library.at(self._line, self._limits, place)
 
     def step(self, tracks, position, period):
         """Go on by a period."""
