@@ -33,7 +33,7 @@ HOLD = 2.0
 
 
 class Rig(BridgeRig):
-    """A bridge on a LinuxCNC whose X goes to and fro at 200 mm/s."""
+    """A bridge on a LinuxCNC whose X goes forth and back at 200 mm/s."""
 
     NODE = 'linuxcnc_bridge'
     AXES = ('X', 'Y', 'Z')

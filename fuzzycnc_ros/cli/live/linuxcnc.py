@@ -31,16 +31,15 @@ def install(ini: Ini) -> None:
 
         sudo fuzzycnc linuxcnc install ~/linuxcnc/configs/mill/mill.ini
     """
-    from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
-    from fuzzycnc_ros.adapters.linuxcnc.hal_process import HAL_FILES
-    from fuzzycnc_ros.adapters.linuxcnc.set_up import (
-        axes_of,
+    from fuzzycnc_ros.adapters.linuxcnc.component import (
         hal_text,
         install_component,
         installed_component,
-        lacking_lines,
         linuxcnc_version,
     )
+    from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
+    from fuzzycnc_ros.adapters.linuxcnc.hal_process import HAL_FILES
+    from fuzzycnc_ros.cli.live.linuxcnc_configuration import axes_of, lacking_lines
 
     axes, lacking = axes_of(ini), lacking_lines(ini)
     text, out = hal_text(axes), ini.parent / HAL_FILES[True]
@@ -65,10 +64,10 @@ def check(ini: Ini) -> None:
 
     fuzzycnc linuxcnc check ~/linuxcnc/configs/mill/mill.ini
     """
-    from fuzzycnc_ros.adapters.linuxcnc import set_up
+    from fuzzycnc_ros.cli.live import linuxcnc_configuration
 
     fine = True
-    for finding in set_up.check(ini):
+    for finding in linuxcnc_configuration.check(ini):
         fine = fine and finding.fine
         say(f'{"" if finding.fine else "! "}{finding.what}: {finding.text}')
     if not fine:

@@ -11,27 +11,27 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from fuzzycnc_ros.core.arrays import Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lines:
     """One line per axis: offset + slope (x - reference_position)."""
 
-    offset: Floats
+    offset: Array
     """K0, at the reference position [m]."""
-    slope: Floats
+    slope: Array
     """Offset per length of travel [-]."""
-    reference_position: Floats
+    reference_position: Array
     """P0 [m]."""
 
     @classmethod
-    def constant(cls, offset: Floats) -> 'Lines':
+    def constant(cls, offset: Array) -> 'Lines':
         """Return lines that have an offset [m] everywhere."""
         zero = np.zeros_like(offset)
         return cls(offset=offset, slope=zero, reference_position=zero)
 
-    def at(self, position: Floats) -> Floats:
+    def at(self, position: Array) -> Array:
         """Return the offsets at a position [m]; NaN where it is unknown and matters."""
         travel = np.where(self.slope == 0.0, 0.0, position - self.reference_position)
         return np.asarray(self.offset + self.slope * travel)
@@ -41,9 +41,9 @@ class Lines:
 class Travel:
     """The travel of each axis; both ends are the same where the control takes no slope."""
 
-    low: Floats
+    low: Array
     """[m]"""
-    high: Floats
+    high: Array
     """[m]"""
 
     @property
@@ -51,11 +51,11 @@ class Travel:
         """Whether each axis takes a slope."""
         return np.asarray(self.high > self.low, bool)
 
-    def ends(self, lines: Lines) -> Floats:
+    def ends(self, lines: Lines) -> Array:
         """Return the offsets at the lower ends, then those at the upper ends [m]."""
         return np.concatenate([self._at(lines, self.low), self._at(lines, self.high)])
 
-    def lines(self, ends: Floats, reference_position: Floats) -> Lines:
+    def lines(self, ends: Array, reference_position: Array) -> Lines:
         """Return the lines through offsets at the ends [m]."""
         low, high = np.split(ends, 2)
         span = np.where(self.sloping, self.high - self.low, 1.0)
@@ -63,5 +63,5 @@ class Travel:
         offset = low + slope * (reference_position - self.low)
         return Lines(offset=np.asarray(offset), slope=slope, reference_position=reference_position)
 
-    def _at(self, lines: Lines, place: Floats) -> Floats:
+    def _at(self, lines: Lines, place: Array) -> Array:
         return lines.at(np.where(self.sloping, place, lines.reference_position))

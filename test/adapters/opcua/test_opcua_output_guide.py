@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from benches.component_bench import Bench
 from benches.line_control import LineControl
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fuzzycnc_ros.adapters.opcua.control_file import read_control
 from fuzzycnc_ros.adapters.opcua.opcua_bridge import OpcuaBridge, OpcuaBridgeConfig
 from fuzzycnc_ros.runtime.enums import AppliedStatus
 from fuzzycnc_ros.runtime.records import Compensation, nanoseconds
@@ -75,6 +77,32 @@ class Program:
         exec(
             self._code, {'LIMIT': lambda low, value, high: max(low, min(value, high))}, self.values
         )
+
+
+ERROR_LINES = {
+    # Siemens, Extended Functions, K3: dK = K0 + tan b (P - P0), in mm
+    'Sinumerik': lambda offset, slope, place, x: 1e-3 * (offset + slope * (1e3 * x - place)),
+    # Beckhoff, P-AXIS-00272 to 00274: 0.1 um, um/m and 0.1 um
+    'TwinCAT': lambda offset, slope, place, x: 1e-7 * offset + 1e-6 * slope * (x - 1e-7 * place),
+}
+
+
+@pytest.mark.parametrize('control', ERROR_LINES)
+def test_what_controls_are_given_is_the_negative_of_their_error_line(control, tmp_path):
+    """Signs and units of the page, put into the formulas of the makers."""
+    whole = yaml.safe_load(re.findall(r'```yaml\n(.*?)```', GUIDE, re.S)[0])
+    whole['state']['on'] = whole['state'].pop(True)  # this reader takes a bare one for a yes
+    (text,) = re.findall(rf'```yaml\n# {control}\n(.*?)```', GUIDE, re.S)
+    given = yaml.safe_load(text)
+    given['axes']['X'] |= {'applied': 'ns=2;s=Comp.X.Applied', 'travel': [-100, 500]}
+    file = tmp_path / 'control.yaml'
+    file.write_text(yaml.safe_dump({**whole, **given}))
+    found = read_control(file).variables
+    line = {'offset': 12e-6, 'slope': 286e-6, 'reference_position': -0.1}
+    written = [value / found[f'X.{name}'].scale for name, value in line.items()]
+    for x in (-0.1, 0.0, 0.4):
+        error = ERROR_LINES[control](*written, x)
+        assert -error == pytest.approx(12e-6 + 286e-6 * (x + 0.1), rel=1e-9)
 
 
 def test_no_variable_of_the_program_hides_a_function_or_another():

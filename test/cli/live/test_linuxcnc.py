@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from fuzzycnc_ros.adapters.linuxcnc.set_up import hal_text
+from fuzzycnc_ros.adapters.linuxcnc.component import hal_text
 
 INI = """[HAL]
 HALFILE = own.hal

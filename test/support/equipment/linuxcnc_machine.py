@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import pytest
 
 from fuzzycnc_ros.adapters.linuxcnc import simulation as linuxcnc_simulation
+from fuzzycnc_ros.adapters.linuxcnc.component import install_component
 from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
-from fuzzycnc_ros.adapters.linuxcnc.set_up import install_component
 from fuzzycnc_ros.adapters.linuxcnc.simulation import LinuxcncSimulation as LinuxcncMachine
 
 __all__ = ['LinuxcncMachine', 'exclusive']
