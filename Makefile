@@ -25,10 +25,6 @@ ROS := AMENT_PREFIX_PATH='$(VENV)' OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 TESTS := $(ROS) '$(BIN)/python' tools/run_tests.py
 PARALLEL := --timeout=600 -n auto --maxprocesses=8 --dist worksteal
 
-# What must be true after every change is what faults are tried on.
-MUTANTS := build/mutants/mutants.json
-FAST := -m "not slow and not qualify and not realtime" $(PARALLEL)
-
 .PHONY: help
 help: ## List the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' Makefile
@@ -102,7 +98,7 @@ examples: setup ## Write the recordings and part programs of examples/ anew
 
 .PHONY: docs
 docs: setup ## Build the site into build/docs/html; warnings and dead links are errors
-	@'$(BIN)/python' -m pip install --quiet --disable-pip-version-check --no-deps --require-hashes \
+	@'$(BIN)/uv' pip install --quiet --python '$(BIN)/python' --no-deps --require-hashes \
 	  --requirement requirements/docs.txt
 	@$(ROS) '$(BIN)/python' tools/make_docs.py $(ARGS)
 
@@ -115,15 +111,9 @@ test-floor: ## Core and components without ROS on Ubuntu 24.04's versions (Pytho
 	  $(PARALLEL) -m 'not ros and not slow and not qualify' \
 	  -p no:cacheprovider $(FLOOR_TESTS) $(ARGS)
 
-.PHONY: mutants
-mutants: setup ## Put faults into copies of the sources, see which the fast tests catch
-	@mkdir -p '$(dir $(MUTANTS))' && '$(BIN)/python' tools/mutants.py draw >'$(MUTANTS)'
-	@$(ROS) '$(BIN)/python' tools/mutants.py run '$(MUTANTS)' \
-	  --suite 'fast=$(FAST)' $(ARGS)
-
 .PHONY: lock
-lock: ## Resolve requirements/*.in anew (needs uv on the PATH; ARGS=--upgrade for the newest)
-	@tools/lock.sh $(ARGS)
+lock: ## Resolve requirements/*.in anew (ARGS=--upgrade for the newest)
+	@PATH='$(BIN)':"$$PATH" tools/lock.sh $(ARGS)
 
 .PHONY: clean
 clean: ## Remove the environments and everything built

@@ -6,7 +6,7 @@
 set -e
 cd "$(dirname "$0")/../requirements"
 command -v uv >/dev/null || {
-    echo 'lock: expected uv on the PATH but found none: run `pip install uv` in any environment' >&2
+    echo 'lock: expected uv on the PATH but found none: run make setup, which brings it' >&2
     exit 1
 }
 
@@ -25,6 +25,7 @@ lock() {
     mv "$1.txt.new" "$1.txt"
 }
 
+lock uv 3.10
 lock docs 3.10
 lock environment 3.10 docs.txt  # both go into one environment
 lock floor 3.12

@@ -1,13 +1,11 @@
 #!/usr/bin/env python3
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Build the virtual environment: locked dependencies, the messages, the package.
+"""Build the virtual environment: locked dependencies by uv, then the messages, then the package.
 
-Each stage has a stamp inside the environment that names what it was built from, written last.  A
-stage runs again when its inputs changed; one that was interrupted goes on with what it has:
-packages that are installed whole, and the build folder of the messages.  The messages are built
-as soon as ROS is there, beside the rest of the dependencies.  Standard library only: this runs
-before anything is installed.
+Each stage has a stamp inside the environment that names its inputs, written last: a stage runs
+again when they change or when it was interrupted.  uv keeps what it has fetched, so that little is
+lost.  Standard library only: this runs before anything is installed.
 """
 
 from __future__ import annotations
@@ -17,44 +15,21 @@ import fcntl
 import hashlib
 import importlib.util
 import os
-import re
 import shutil
+import signal
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Sequence
+import time
 from pathlib import Path
-
-import setup_lock
-from setup_jobs import Interrupted, Job, JobError, Progress, Signals, run
 
 ROOT = Path(__file__).resolve().parents[1]
 SUPPORTED = ((3, 10), (3, 13))  # the ROS wheels exist for these
 CMAKE = (3, 21)
-SLICE = 36  # packages for one run of pip: what an interrupted set-up loses at most
-
-# What takes long to fetch and the messages are not built with: installed while they compile.
-LATER = {
-    'apsw',
-    'asyncua',
-    'cryptography',
-    'fonttools',
-    'hypothesis',
-    'matplotlib',
-    'mypy',
-    'pillow',
-    'pyarrow',
-    'pydantic',
-    'pydantic-core',
-    'ruff',
-    'scikit-learn',
-    'scipy',
-    'scipy-stubs',
-    'toppra',
-}
+PATIENCE = 10.0  # [s] for a command that was told to end
 
 # Loading every entry point once shows that all is there, and leaves its byte code for the many
-# processes that start at the same time later; pip would compile three times as much.
+# processes that start at the same time later; to compile all packages takes three times as long.
 LOAD_ALL = """
 from importlib.metadata import distribution
 for entry in distribution('fuzzycnc_ros').entry_points:
@@ -140,15 +115,72 @@ def fingerprint(*patterns: str, above: str = '') -> str:
     return digest.hexdigest()
 
 
+def run(stage: str, command: list[str | Path], settings: dict[str, str] | None = None) -> None:
+    """Carry out one command of a stage, in a session of its own that ends with this process.
+
+    Raises
+    ------
+    SetupError
+        If the command fails; it has said why.
+    """
+    child = subprocess.Popen(
+        [str(part) for part in command],
+        cwd=ROOT,
+        env={**clean_environment(), **(settings or {})},
+        stdin=subprocess.DEVNULL,
+        close_fds=False,  # the lock stays held while a child of a killed set-up still works
+        start_new_session=True,
+    )
+    try:
+        status = child.wait()
+    except BaseException:
+        for number in (signal.SIGTERM, signal.SIGKILL):
+            try:
+                os.killpg(child.pid, number)
+                child.wait(PATIENCE)
+                break
+            except subprocess.TimeoutExpired:
+                continue
+            except ProcessLookupError:
+                break
+        raise
+    if status:
+        raise SetupError(f'{stage} failed, see above; the next start tries again')
+
+
+class Stage:
+    """One stage of the set-up: its lines in the terminal, and the stamp that it leaves."""
+
+    def __init__(self, stamp: Path, name: str, wanted: str) -> None:
+        self.stamp = stamp
+        self.name = name
+        self.wanted = wanted
+        self._begun = 0.0
+
+    def is_current(self) -> bool:
+        """Return whether the stage was finished with these inputs."""
+        return self.stamp.is_file() and self.stamp.read_text() == self.wanted
+
+    def __enter__(self) -> None:
+        self._begun = time.monotonic()
+        print(f'set-up: {self.name} ...', file=sys.stderr, flush=True)
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            draft = self.stamp.with_suffix('.new')
+            draft.write_text(self.wanted)
+            draft.replace(self.stamp)
+            seconds = time.monotonic() - self._begun
+            print(f'set-up: {self.name}: {seconds:.0f} s', file=sys.stderr, flush=True)
+
+
 class Environment:
     """A virtual environment with one stamp a stage."""
 
-    def __init__(self, folder: Path, lock: Path, signals: Signals) -> None:
+    def __init__(self, folder: Path, lock: Path) -> None:
         self.folder = folder
         self.lock = lock
         self.python = folder / 'bin' / 'python'
-        self.signals = signals
-        self.progress = Progress()
 
     def runs(self) -> bool:
         """Return whether the environment's interpreter is there and starts."""
@@ -158,136 +190,81 @@ class Environment:
         done = subprocess.run(command, capture_output=True, env=clean_environment(), check=False)
         return done.returncode == 0
 
-    def site_packages(self) -> Path:
-        """Return where pip puts packages."""
-        version = f'python{sys.version_info[0]}.{sys.version_info[1]}'
-        return self.folder / 'lib' / version / 'site-packages'
+    def uv(self, stage: str, *arguments: str | Path, **settings: str) -> None:
+        """Run the environment's uv with the package index that pip is set up with."""
+        settings['VIRTUAL_ENV'] = str(self.folder)
+        if 'UV_DEFAULT_INDEX' not in os.environ and (index := self._index_of_pip()):
+            settings['UV_DEFAULT_INDEX'] = index
+        quiet = () if sys.stderr.isatty() else ('--quiet',)
+        run(stage, [self.folder / 'bin' / 'uv', *quiet, *arguments], settings)
 
-    def pip(self, *arguments: str | Path) -> list[str | Path]:
-        """Return a command that runs pip inside the environment."""
-        options = ('--disable-pip-version-check', '--no-deps', '--no-build-isolation')
-        verb, *others = arguments
-        return [self.python, '-m', 'pip', verb, *options, *others]
+    def _index_of_pip(self) -> str:
+        """Return the index that replaces PyPI's in the settings of pip, empty if none does."""
+        command = [str(self.python), '-m', 'pip', 'config', 'get', 'global.index-url']
+        asked = subprocess.run(
+            command, capture_output=True, text=True, env=clean_environment(), check=False
+        )
+        return os.environ.get('PIP_INDEX_URL') or asked.stdout.strip()
 
-    def run(self, *jobs: Job) -> None:
-        """Carry out jobs, silent but for their progress unless one fails."""
-        try:
-            run(jobs, ROOT, clean_environment(), self.progress, self.signals)
-        except JobError as error:
-            raise SetupError(f'{error}; the next start tries again') from None
+    def stage(self, name: str, wanted: str) -> Stage:
+        """Return a stage, to be entered where its inputs have changed."""
+        return Stage(self.folder / f'{name.split()[0]}.stamp', name, wanted)
 
-    def is_current(self, stage: str, wanted: str) -> bool:
-        """Return whether the stage was finished with these inputs."""
-        stamp = self.folder / f'{stage}.stamp'
-        return stamp.is_file() and stamp.read_text() == wanted
-
-    def finish(self, stage: str, built_from: str) -> None:
-        """Write the stage's stamp, all or nothing."""
-        draft = self.folder / f'{stage}.stamp.new'
-        draft.write_text(built_from)
-        draft.replace(self.folder / f'{stage}.stamp')
-
-    def ensure_folder(self, version: str) -> str:
-        """Make the environment, empty, unless it is there; return what it is made from."""
+    def ensure_dependencies(self, version: str) -> str:
+        """Make the environment anew unless it holds the lock; return a hash of its inputs."""
         # The folder counts too: scripts in an environment name its place.
-        wanted = fingerprint(str(self.lock.relative_to(ROOT)), above=f'{version} {self.folder}')
-        if self.is_current('environment', wanted) and self.runs():
+        inputs = (str(self.lock.relative_to(ROOT)), 'requirements/uv.txt')
+        wanted = fingerprint(*inputs, above=f'{version} {self.folder}')
+        stage = self.stage('dependencies (locked)', wanted)
+        if stage.is_current() and self.runs():
             return wanted
         check_interpreter()
         if self.folder.name == '.venv':
             check_tools()
-        what = f'{self.folder.name} with Python {version}'
-        self.run(Job(what, [sys.executable, '-m', 'venv', '--clear', self.folder]))
-        self.finish('environment', wanted)
+        with stage:
+            run(stage.name, [sys.executable, '-m', 'venv', '--clear', self.folder])
+            pip = (self.python, '-m', 'pip', 'install', '--quiet', '--disable-pip-version-check')
+            run(stage.name, [*pip, '--require-hashes', '-r', ROOT / 'requirements' / 'uv.txt'])
+            # The two packages without a wheel are built with the locked setuptools.
+            options = ('--no-deps', '--require-hashes', '--build-constraint', self.lock)
+            self.uv(stage.name, 'pip', 'install', *options, '-r', self.lock)
         return wanted
 
-    def ensure_contents(self, wanted: str, messages: bool) -> None:
-        """Install what the environment lacks of the lock; build the messages meanwhile."""
-        sooner: list[Job] = []
-        later: list[Job] = []
-        if not self.is_current('dependencies', wanted):
-            sooner, later = self._installations()
-        defined = fingerprint('msg_defs/**/*', above=wanted)
-        if not messages or self.is_current('messages', defined):
-            self.run(*sooner, *later)
-            self.finish('dependencies', wanted)
+    def ensure_messages(self, above: str) -> None:
+        """Compile and install fuzzycnc_msgs, in a folder that is kept, unless it is current."""
+        stage = self.stage('messages (fuzzycnc_msgs)', fingerprint('msg_defs/**/*', above=above))
+        if stage.is_current():
             return
         check_tools()
-        try:
-            options = ('--no-compile', '--force-reinstall')
-            self.run(*sooner, self.messages('install', *options, needs=sooner), *later)
-        except SetupError:
-            shutil.rmtree(self.folder / 'messages', ignore_errors=True)  # a fresh one may succeed
-            raise
-        self.finish('dependencies', wanted)
-        self.finish('messages', defined)
-
-    def _installations(self) -> tuple[list[Job], list[Job]]:
-        """Return the runs of pip that messages wait for, and the others."""
-        wanted = setup_lock.entries(self.lock)
-        there = setup_lock.held(self.site_packages())
-        missing = [entry for entry in wanted if (entry.name, entry.version) not in there]
-        stage, done = 'locked dependencies', len(wanted) - len(missing)
-
-        def count(line: str) -> None:
-            nonlocal done
-            # A wheel from a folder is processed, another one is collected.
-            if begun := re.match(
-                r'(?:Collecting |Processing \S*/)(\w[\w.]*(?:-[a-z][\w.]*)*)', line
-            ):
-                done += 1
-                self.progress.step(stage, done, len(wanted), begun[1])
-
-        def install(entries: list[setup_lock.Entry], needs: list[Job]) -> list[Job]:
-            jobs = []
-            for part in setup_lock.slices(entries, SLICE):
-                listed = self.folder / f'{part[0].name}.txt'
-                listed.write_text(''.join(entry.text for entry in part))
-                options = ('--no-compile', '--progress-bar=off', '--require-hashes', '-r', listed)
-                jobs.append(Job(stage, self.pip('install', *options), needs, count))
-            return jobs
-
-        # The two packages without a wheel are built with the locked setuptools, not a fetched one.
-        builders = install([entry for entry in missing if entry.name == 'setuptools'], [])
-        others = [entry for entry in missing if entry.name != 'setuptools']
-        sooner = install([entry for entry in others if entry.name not in LATER], builders)
-        later = install([entry for entry in others if entry.name in LATER], builders)
-        return builders + sooner, later
-
-    def messages(self, verb: str, *arguments: str | Path, needs: Sequence[Job] = ()) -> Job:
-        """Return the run of pip that compiles fuzzycnc_msgs, in a folder that is kept."""
-        stage = 'messages (fuzzycnc_msgs)'
-
-        def count(line: str) -> None:
-            if files := re.match(r'\s*\[(\d+)/(\d+)\] (?!Re-)', line):  # ninja
-                self.progress.step(stage, int(files[1]), int(files[2]), unit=' files')
-            elif percent := re.match(r'\s*\[ *(\d+)%\]', line):  # make
-                self.progress.step(stage, int(percent[1]), 100, unit=' %')
-
-        # By variables: the pip of Ubuntu 22.04 cannot pass settings on.
-        settings = {
-            'SKBUILD_BUILD_DIR': str(self.folder / 'messages'),
-            'CMAKE_BUILD_PARALLEL_LEVEL': str(os.cpu_count() or 1),
-        }
-        command = self.pip(verb, '--verbose', *arguments, ROOT / 'msg_defs')
-        return Job(stage, command, needs, count, settings)
+        with stage:
+            try:
+                self.uv(
+                    stage.name,
+                    *('pip', 'install', '--no-deps', '--no-build-isolation', '--reinstall'),
+                    ROOT / 'msg_defs',
+                    SKBUILD_BUILD_DIR=str(self.folder / 'messages'),
+                    CMAKE_BUILD_PARALLEL_LEVEL=str(os.cpu_count() or 1),
+                )
+            except SetupError:
+                shutil.rmtree(self.folder / 'messages', ignore_errors=True)  # a fresh one may do
+                raise
 
     def ensure_package(self, above: str) -> None:
         """Install the package, editable, with its ament index entries, unless it is current."""
         description = ('setup.py', 'setup.cfg', 'pyproject.toml', 'package.xml')
-        wanted = fingerprint(*description, 'params/*', 'launch/*', 'resource/*', above=above)
-        if self.is_current('package', wanted):
+        inputs = (*description, 'params/*', 'launch/*', 'resource/*')
+        stage = self.stage('package (fuzzycnc_ros)', fingerprint(*inputs, above=above))
+        if stage.is_current():
             return
-        stage = 'package (fuzzycnc_ros)'
-        install = Job(stage, self.pip('install', '--editable', ROOT))
-        shutil.rmtree(self.folder / 'share' / 'fuzzycnc_ros', ignore_errors=True)
-        # An editable install leaves out the `data_files` of setup.py: index entry, params, launch.
-        command = ('setup.py', '--quiet', 'install_data', '--install-dir', self.folder)
-        share = Job(stage, [self.python, *command], [install])
-        load = Job(stage, [self.python, '-c', LOAD_ALL], [install, share])
-        self.run(install, share, load)
-        self._link_executables()
-        self.finish('package', wanted)
+        with stage:
+            options = ('--no-deps', '--no-build-isolation', '--editable')
+            self.uv(stage.name, 'pip', 'install', *options, ROOT)
+            # An editable install leaves out the `data_files` of setup.py: index entry, params...
+            shutil.rmtree(self.folder / 'share' / 'fuzzycnc_ros', ignore_errors=True)
+            share = ('setup.py', '--quiet', 'install_data', '--install-dir', self.folder)
+            run(stage.name, [self.python, '-W', 'ignore', *share])  # setuptools' own advice
+            run(stage.name, [self.python, '-c', LOAD_ALL])
+            self._link_executables()
 
     def build_wheels(self) -> None:
         """Write wheels of the messages and of the package to dist/."""
@@ -295,9 +272,9 @@ class Environment:
         for stale in folder.glob('fuzzycnc_*.whl'):
             stale.unlink()
         shutil.rmtree(ROOT / 'build' / 'lib', ignore_errors=True)  # modules that are no more
-        messages = self.messages('wheel', '--wheel-dir', folder)
-        package = Job('package (fuzzycnc_ros)', self.pip('wheel', '--wheel-dir', folder, ROOT))
-        self.run(messages, package)
+        for source in (ROOT / 'msg_defs', ROOT):
+            options = ('--wheel', '--no-build-isolation', '--no-create-gitignore', '--out-dir')
+            self.uv(f'the wheel of {source.name}', 'build', *options, folder, source)
         for wheel in sorted(folder.glob('fuzzycnc_*.whl')):
             print(wheel.relative_to(ROOT))
 
@@ -332,6 +309,12 @@ def take_turn(guard: int) -> None:
         fcntl.flock(guard, fcntl.LOCK_EX)
 
 
+def terminate(number: int, _frame: object) -> None:
+    """End as `sys.exit` does, with the commands that are under way."""
+    print('set-up: interrupted; the next start goes on from here', file=sys.stderr)
+    sys.exit(128 + number)
+
+
 def main() -> int:
     """Carry out one command: `check`, `full`, `floor` or `wheels`."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -341,26 +324,24 @@ def main() -> int:
         if command == 'check':
             check_interpreter()
             return 0
-        version = sys.version.split()[0]
-        with Signals() as signals, (ROOT / 'setup.py').open() as guard:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, terminate)
+        with (ROOT / 'setup.py').open() as guard:
             os.set_inheritable(guard.fileno(), True)
             take_turn(guard.fileno())
             floor = command == 'floor'
             folder = ROOT / ('.venv-floor' if floor else '.venv')
             lock = ROOT / 'requirements' / ('floor.txt' if floor else 'environment.txt')
-            environment = Environment(folder, lock, signals)
-            made_from = environment.ensure_folder(version)
-            environment.ensure_contents(made_from, messages=not floor)
+            environment = Environment(folder, lock)
+            made_from = environment.ensure_dependencies(sys.version.split()[0])
             if not floor:
+                environment.ensure_messages(made_from)
                 environment.ensure_package(made_from)
             if command == 'wheels':
                 environment.build_wheels()
     except SetupError as error:
         print(f'set-up: {error}', file=sys.stderr)
         return 1
-    except Interrupted as error:
-        print('set-up: interrupted; the next start goes on from here', file=sys.stderr)
-        return 128 + int(error.args[0])
     return 0
 
 
