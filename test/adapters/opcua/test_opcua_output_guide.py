@@ -159,6 +159,40 @@ def test_program_of_the_guide_is_the_one_that_the_tests_run(steps):
             assert program.values['Acknowledged'] == control.acknowledged
 
 
+def in_force(**inputs):
+    """Return the program with a set in force, and what it is scanned with."""
+    program = Program()
+    inputs = {
+        **{'Enable': True, 'Heartbeat': 1, 'Sequence': 1, 'CycleTime': 0.001, 'ValidFor': 60.0},
+        **{'K0': 10.0, 'Slope': 0.0, 'P0': 0.0, 'Position': 0.0, **inputs},
+    }
+    for _ in range(5000):
+        program.scan(**inputs)
+    return program, inputs
+
+
+def test_program_follows_an_axis_that_moves_faster_than_its_ramp():
+    """200 mm/s along 286 um/m are 57 um/s; what is asked for at a place goes at 20 um/s."""
+    program, inputs = in_force(K0=-30.0, Slope=0.286)
+    assert program.values['Applied'] == pytest.approx(-30.0)
+    for step in range(1000):
+        program.scan(**{**inputs, 'Position': 0.2 * (step + 1)})
+        assert program.values['Applied'] == pytest.approx(-30.0 + 0.286 * 0.2 * (step + 1))
+    program.scan(**{**inputs, 'Position': 0.0})  # it leaps, as when it is homed
+    assert program.values['Applied'] == pytest.approx(27.2 - 0.02)
+
+
+@pytest.mark.parametrize('written', range(4))
+def test_half_a_set_is_never_in_force(written):
+    """However many of its values stand, the set before is followed until the number comes."""
+    program, inputs = in_force()
+    new = [('K0', -40.0), ('Slope', 0.2), ('P0', 100.0), ('ValidFor', 0.01)]
+    for heartbeat in range(2, 200):
+        inputs |= {'Heartbeat': heartbeat, **dict(new[: written + 1])}
+        program.scan(**inputs)
+        assert program.values['Applied'] == pytest.approx(10.0)
+
+
 def test_adapter_of_the_guide_carries_offsets():
     space = {}
     exec(block('python'), space)
