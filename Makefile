@@ -64,6 +64,11 @@ faults: setup ## The fault campaign with options, see ARGS=--help
 soak: setup ## The soak with options, see ARGS=--help
 	@$(ROS) '$(BIN)/python' test/qualification soak $(ARGS)
 
+.PHONY: hal
+hal: ## Build LinuxCNC's component fuzzycnc_offset into build/hal; needs halcompile
+	@command -v halcompile >/dev/null || { echo 'hal: expected halcompile but found none; Debian: apt-get install linuxcnc-uspace-dev'; exit 1; }
+	@mkdir -p build/hal && cp linuxcnc/*.comp linuxcnc/*.h build/hal && cd build/hal && halcompile --compile *.comp
+
 .PHONY: bench
 bench: setup ## One table: speed beside libraries that do the same work; wants an idle computer
 	@$(ROS) '$(BIN)/python' benchmarks/performance.py

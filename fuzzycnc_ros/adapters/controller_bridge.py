@@ -16,8 +16,9 @@ import numpy as np
 
 from fuzzycnc_ros.adapters.controller import Readout
 from fuzzycnc_ros.adapters.probing.touches import touch_of
-from fuzzycnc_ros.core.config import Config, param
-from fuzzycnc_ros.core.inputs.offset_input import OffsetInput, OffsetInputConfig
+from fuzzycnc_ros.core.config import Config, param, same_param
+from fuzzycnc_ros.core.inputs.lines import Lines, Travel
+from fuzzycnc_ros.core.inputs.offset_input import OffsetInput, OffsetInputConfig, content_refusal
 from fuzzycnc_ros.core.inputs.offsets import AXES, describe
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
@@ -53,6 +54,7 @@ class ControllerBridgeConfig(Config):
     axes: tuple[str, ...] = param(('X', 'Y', 'Z'), '-', 'Axes that take offsets')
     offset_max: float = param(60e-6, 'm', 'Largest offset of an axis', low=1e-6, high=1e-3)
     slew_max: float = param(5e-6, 'm/s', 'Fastest change of an offset', low=1e-9, high=1e-3)
+    slope_max: float = same_param(OffsetInputConfig, 'slope_max')
     lead_max: float = param(
         5.0, 's', 'How far ahead of the machine a command may be stamped', low=0.0, high=3600.0
     )
@@ -87,6 +89,8 @@ NOTHING = 1e-12
 """Offset that is the rounding of sums [m]."""
 STEPS_MAX = 2.0
 """Cycles for whose time one cycle moves offsets at most, however late it comes."""
+COLUMNS = ('offset', 'slope', 'reference_position')
+"""What makes a line."""
 SETTLING = 2.0
 """How long a controller may take to go where it is told [s] before that is reported."""
 
@@ -98,8 +102,9 @@ OrdersT = TypeVar('OrdersT')
 class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, OrdersT]):
     """Guard the offsets, say what the controller shall do, tell what is applied.
 
-    Subclasses bring the controller to the offsets that the guard allows, by `observe`, and say
-    by `_forbidden` when nobody is followed.
+    Along an axis an offset is a line, guarded at both ends of the travel.  Subclasses bring the
+    controller to the lines that the guard allows, by `observe`, and say by `_forbidden` when
+    nobody is followed.
     """
 
     CONTROLLER: ClassVar[str]
@@ -135,6 +140,10 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         self._adopted: int | None = None  # time at which the bridge went on from what stood
         self._uncommanded = 0  # for how long it has held offsets since the newest command [ns]
         self._step_max = STEPS_MAX * self._config.cycle_period
+        self._reference = np.zeros(len(self._axes))
+        self._clipped = np.zeros(len(self._axes), bool)
+        self._steep = np.zeros(len(self._axes), bool)
+        self._unusable = ''
         self._input = self._adopting(np.zeros(len(self._places)))
         self._status: StatusT | None = None
         self._absent = f'{self.CONTROLLER} has not been found yet'
@@ -297,10 +306,27 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         """Say how offsets that stand after the deactivation go away."""
         return 'ramping to zero'
 
+    @abstractmethod
+    def _travel_of(self, status: StatusT) -> Travel:
+        """Return where each axis may slope."""
+
+    @abstractmethod
+    def _flat(self, axes: str) -> str:
+        """Say what to do where axes take no slope."""
+
+    def _most(self, status: StatusT) -> Floats:
+        """Return the largest offset of each axis [m]."""
+        return np.full(len(self._axes), self._config.offset_max)
+
+    def _most_at_ends(self, status: StatusT) -> Floats:
+        """Return the largest offsets at the lower ends of the travel, then at the upper [m]."""
+        return np.tile(self._most(status), 2)
+
     @property
     def _places(self) -> Names:
-        """What the offset input guards an offset of; the axes, or points on them."""
-        return self._config.axes
+        """What the offset input guards an offset of: the lower ends of the travel, the upper."""
+        axes = self._config.axes
+        return (*(f'{axis} low' for axis in axes), *(f'{axis} high' for axis in axes))
 
     @property
     def _slew_max(self) -> float:
@@ -308,17 +334,59 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         return self._config.slew_max
 
     def _command(self, command: Compensation) -> bool:
-        """Hand a command to the offset input; return whether it was accepted."""
+        """Guard a command by its values at the ends of the travel; return whether it counts."""
+        status = self._status
+        assert status is not None, 'who leads has read the controller'
+        travel = self._travel_of(status)
+        columns = {name: np.asarray(getattr(command, name), np.float64) for name in COLUMNS}
+        self._unusable = content_refusal(self._axes, command.axis, columns)
+        if self._unusable:
+            return False
+        rows = [self._axes.index(axis) for axis in command.axis]
+        full = {name: np.zeros(len(self._axes)) for name in COLUMNS}
+        for name, values in columns.items():
+            full[name][rows] = values
+        flat = ', '.join(np.array(self._axes)[(full['slope'] != 0.0) & ~travel.sloping])
+        if flat:
+            self._unusable = f'slope: {self.CONTROLLER} takes none on {flat}; {self._flat(flat)}'
+            return False
+        steep = np.abs(full['slope']) > self._config.slope_max
+        full['slope'] = np.clip(full['slope'], -self._config.slope_max, self._config.slope_max)
+        lines = Lines(**full)
+        wanted = travel.ends(lines)
+        most = self._most_at_ends(status)
+        cut = np.clip(wanted, -most, most)
         answer = self._input.command(
             command.epoch,
-            command.axis,
-            command.offset,
-            command.slope,
-            command.reference_position,
+            self._places,
+            cut,
             stamp=command.stamp + self._ahead,
             valid_until=command.valid_until + self._ahead,
         )
+        if answer.accepted:
+            self._clipped = np.any(np.split(cut != wanted, 2), axis=0)
+            self._steep = steep
+            self._reference = lines.reference_position
         return answer.accepted
+
+    def _adopt(self, lines: Lines, status: StatusT) -> None:
+        """Go on from lines that are in force."""
+        self._reference, self._unusable = lines.reference_position, ''
+        self._clipped = np.zeros(len(self._axes), bool)
+        self._steep = np.zeros(len(self._axes), bool)
+        self._input = self._adopting(self._travel_of(status).ends(lines), self._input.epoch)
+
+    def _cut_text(self, status: StatusT, cut: Bools) -> str:
+        """Say which limits cut what is asked for; empty if none does."""
+        if int(self._input.status) != AppliedStatus.FOLLOWING:
+            return ''
+        parts = []
+        if np.any(cut):
+            parts.append(f'cut at the limit of {describe(self._axes, self._most(status), cut)}')
+        if np.any(self._steep):
+            axes = ', '.join(np.array(self._axes)[self._steep])
+            parts.append(f'slope of {axes} cut at {1e6 * self._config.slope_max:g} um/m')
+        return '; '.join(parts)
 
     def _count_uncommanded(self) -> None:
         """Note how long offsets that were adopted have stood: the next adoption adds nothing."""
@@ -370,6 +438,8 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
             return AppliedStatus.REFUSED, f'inactive while {standing} stands: {owner}'
         if why:
             return AppliedStatus.REFUSED, f'{why}; in force: {standing or "nothing"}'
+        if self._unusable:
+            return AppliedStatus.REFUSED, self._unusable
         return (
             AppliedStatus(int(self._input.status)),
             self._complaint(status) or self._input.reason,

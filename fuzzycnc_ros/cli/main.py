@@ -112,6 +112,11 @@ COMMANDS: Commands = {
         'fuzzycnc_ros.cli.live.probe',
         'Write the program by which a control probes its own thermal error.',
     ),
+    'linuxcnc': Later(
+        'Run',
+        'fuzzycnc_ros.cli.live.linuxcnc',
+        'Install and check what a LinuxCNC needs for offsets along its axes.',
+    ),
     'watch': Later(
         'Run',
         'fuzzycnc_ros.cli.live.watch:watch',

@@ -58,7 +58,7 @@ def read_linuxcnc_ini(path: Path) -> LinuxcncLimits:
     ValueError
         If the file is missing or no LinuxCNC configuration; the message names file and line.
     """
-    entries = _entries(path)
+    entries = read_sections(path)
     traj = entries.get('TRAJ', {})
     if 'LINEAR_UNITS' not in traj:
         raise ValueError(
@@ -153,8 +153,14 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
             yield number, inner
 
 
-def _entries(path: Path) -> dict[str, dict[str, tuple[str, int]]]:
-    """Return entries and their lines by section; the first of several with one name counts."""
+def read_sections(path: Path) -> dict[str, dict[str, tuple[str, int]]]:
+    """Return entries and their lines by section; the first of several with one name counts.
+
+    Raises
+    ------
+    ValueError
+        If the file is missing or too large to be a configuration.
+    """
     found: dict[str, dict[str, tuple[str, int]]] = {}
     section: dict[str, tuple[str, int]] = {}
     for number, raw in _lines(path):

@@ -25,7 +25,10 @@ PACKAGE = ROOT / 'fuzzycnc_ros'
 OPTION = re.compile(r'(?<![\w-])--[a-z][a-z0-9-]*')
 COMMAND = re.compile(r'fuzzycnc((?: [a-z][a-z0-9-]*)+)(?:\\\n|[^`;\n])*')
 
-OTHERS = ('--ros-args', '--params-file', '--param', '--nthreads')
+OTHERS = (
+    *('--ros-args', '--params-file', '--param', '--nthreads'),
+    *('--install', '--print-modinc'),  # of halcompile
+)
 """Options of programs that are not ours: ROS nodes and `dask worker`."""
 
 OF_NODES = '--machine-file'

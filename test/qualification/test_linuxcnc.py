@@ -24,15 +24,17 @@ pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.qualify]
 AXES = ('X', 'Y', 'Z')
 CLOSE = 0.2 * MICRON
 """Applied against requested, after settling [m]."""
+SLOPE = (1e-4, -5e-5, 1.5e-4)
+"""Of all commands to a LinuxCNC that takes slopes; at zero of the machine they change nothing."""
 FAST = {'slew_max': 200 * MICRON}
 
 
-@pytest.fixture(scope='module')
-def controller():
-    """A LinuxCNC for the tests of this file."""
-    with exclusive():
+@pytest.fixture(scope='module', params=[False, True], ids=['counts', 'slopes'])
+def controller(request):
+    """A LinuxCNC for the tests of this file, with stock components alone and with ours."""
+    with exclusive(slopes=request.param):
         folder = Path(tempfile.mkdtemp(prefix='fuzzycnc-linuxcnc-'))
-        machine = LinuxcncMachine(folder)
+        machine = LinuxcncMachine(folder, slopes=request.param)
         try:
             machine.start()
             yield machine
@@ -51,6 +53,17 @@ class Rig(BridgeRig):
     def __init__(self, graph, observer, controller):
         super().__init__(graph, observer)
         self.controller = controller
+
+    @property
+    def slopes(self):
+        """Whether the servo thread takes slopes."""
+        return 'fuzzycnc-sequence' in self.controller.halcmd('show', 'sig', 'fuzzycnc-sequence')
+
+    def command(self, offset, *, slope=None, reference=(0.0, 0.0, 0.0), **more):
+        """Command offsets [um], along lines wherever those are taken."""
+        if slope is None:
+            slope = SLOPE if self.slopes else (0.0, 0.0, 0.0)
+        super().command(offset, slope=slope, reference=reference, **more)
 
     def start(self, *, active=True, wait=True, **parameters):
         return self.launch({**FAST, **parameters}, active=active, wait=wait)
@@ -98,12 +111,25 @@ def test_line_along_an_axis(rig):
     """K0 + slope (x - P0) follows the commanded position, at which the offset is not counted."""
     rig.start()
     rig.command((10, 0, 0), slope=(2e-4, 0, 0), reference=(0.05, 0, 0))
+    if not rig.slopes:
+        rig.refused('LinuxCNC takes none on X; its HAL file is fuzzycnc.hal')
+        return
     rig.until(lambda: rig.at((0, 0, 0)), 'at zero of the line')
     rig.controller.line('G53 G0 X150')
     rig.until(lambda: rig.at((30, 0, 0)), '30 um at 150 mm')
     rig.until(lambda: abs(rig.states[-1].position[0] - 0.15) < 1e-8, 'at rest')
     rig.until(lambda: rig.at((30, 0, 0)), 'in force at rest')
     assert rig.position()[0] == pytest.approx(0.15 + 30e-6, abs=CLOSE)
+    rig.controller.off()
+    rig.refused('machine is off')
+    rig.controller.on()
+    rig.controller.teleop()
+    rig.until(lambda: rig.allowed and rig.at((0, 0, 0)), 'starts anew at zero, wherever it parks')
+    rig.command((10, 0, 0), slope=(2e-4, 0, 0), reference=(0.05, 0, 0))
+    rig.until(lambda: rig.at((30, 0, 0)), 'of the place where it was parked')
+    rig.controller.line('G53 G0 X0')
+    rig.until(lambda: rig.at((0, 0, 0)), 'at zero of the line again')
+    assert rig.position()[0] == pytest.approx(0.0, abs=CLOSE)
 
 
 def test_nothing_before_homing(rig):
@@ -162,7 +188,8 @@ def test_frozen(rig):
 def test_scale_changes_with_counts_standing(rig):
     rig.start()
     rig.settle((0, 0, 40))
-    rig.controller.halcmd('setp', 'axis.z.eoffset-scale', '0.00002')
+    scale = ('sets', 'fuzzycnc-scale-z') if rig.slopes else ('setp', 'axis.z.eoffset-scale')
+    rig.controller.halcmd(*scale, '0.00002')
     try:
         rig.until(lambda: any('counts of zero meant' in a.reason for a in rig.applied), 'noticed')
         rig.until(lambda: rig.allowed and rig.at((0, 0, 0)), 'goes on')
@@ -170,7 +197,7 @@ def test_scale_changes_with_counts_standing(rig):
         rig.settle((0, 0, 0))
         assert rig.controller.halcmd('gets', 'fuzzycnc-register-z') == '0'
     finally:
-        rig.controller.halcmd('setp', 'axis.z.eoffset-scale', '0.00001')
+        rig.controller.halcmd(*scale, '0.00001')
     path = np.array([item.offset[2] for item in rig.applied])
     assert path.max() <= 40e-6 + CLOSE
     assert path.min() >= -CLOSE
@@ -179,10 +206,11 @@ def test_scale_changes_with_counts_standing(rig):
 def test_soft_limit(rig):
     rig.start()
     rig.controller.line('G53 G0 Z199.98')
-    rig.command((0, 0, 50))
+    rig.command((0, 0, 50), reference=(0, 0, 0.19998))
     rig.until(lambda: rig.last.at_limit[2], 'the limit is told')
     rig.until(lambda: 'a soft limit cuts Z 50.00 um to Z 20' in rig.last.reason, 'why')
     rig.controller.line('G53 G0 Z0')
+    rig.command((0, 0, 50))
     rig.until(lambda: rig.at((0, 0, 50)) and not rig.last.at_limit.any(), 'in full')
     rig.settle((0, 0, 0))
 
@@ -200,7 +228,7 @@ def test_joint_mode(rig):
 
 def test_own_limits_and_expiry(rig):
     rig.start()
-    rig.command((500, 0, 0))
+    rig.command((500, 0, 0), slope=(0, 0, 0))
     rig.until(lambda: rig.at((60, 0, 0)) and rig.last.at_limit[0], 'cut')
     rig.command((10, 0, 0), valid=1.0)
     rig.until(lambda: rig.at((10, 0, 0)), 'follows')
@@ -252,7 +280,8 @@ def test_killed_bridge_leaves_no_offset_and_a_new_one_goes_on(rig):
     rig.until(lambda: rig.allowed, 'armed again')
     assert rig.at((0, 0, 0))
     rig.settle((0, 10, 0))
-    rig.controller.halcmd('setp', 'watchdog.timeout-0', '600')  # it is not what does this:
+    hold = 'fuzzycnc-offset.hold-time' if rig.slopes else 'watchdog.timeout-0'
+    rig.controller.halcmd('setp', hold, '600')  # it is not what does this:
     assert rig.bridge.interrupt(signal.SIGINT) == 0
     end = time.monotonic() + 60.0
     while abs(rig.position()[1]) > CLOSE:

@@ -139,13 +139,13 @@ class Loop:
             trace.close()
 
 
-@pytest.fixture
-def loop(graph, observer):
+@pytest.fixture(params=[False, True], ids=['counts', 'slopes'])
+def loop(graph, observer, request):
     """Everything runs, and half of the offset is in force."""
-    with exclusive(), contextlib.ExitStack() as stack:
+    with exclusive(slopes=request.param), contextlib.ExitStack() as stack:
         folder = Path(tempfile.mkdtemp(prefix='fuzzycnc-linuxcnc-'))
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
-        controller = LinuxcncMachine(folder, **HAL)
+        controller = LinuxcncMachine(folder, slopes=request.param, **HAL)
         stack.callback(controller.end)
         controller.start()
         found = Loop(graph, observer, controller, folder)

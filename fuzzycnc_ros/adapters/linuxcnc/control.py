@@ -25,6 +25,7 @@ from fuzzycnc_ros.adapters.linuxcnc.status import (
     ControllerOutput,
     ControllerStatus,
 )
+from fuzzycnc_ros.core.inputs.lines import Travel
 from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import Names
 
@@ -34,6 +35,8 @@ START_TIMEOUT = 5.0
 """Wall time [s] for the process to start and find the pins."""
 STILL = 1.0
 """Wall time [s] after which a servo thread whose own time never changes stands still."""
+FAR = 100.0
+"""Travel beyond which a limit of LinuxCNC is none [m]."""
 
 
 class LinuxcncError(LinkError):
@@ -65,6 +68,7 @@ class Linuxcnc(Controller[ControllerStatus, ControllerOutput, ControllerLimits])
         self._axes = [axis.lower() for axis in axes]
         self._pending = b''
         self._tick: Any = None
+        self._metre = 1e-3
         self._tick_at = time.monotonic()
         command = [interpreter, '-I', str(Path(hal_process.__file__)), ','.join(axes)]
         try:
@@ -85,13 +89,21 @@ class Linuxcnc(Controller[ControllerStatus, ControllerOutput, ControllerLimits])
 
     def write(self, orders: ControllerOutput) -> ControllerStatus:
         """Write counts, and the heartbeat; return the present status."""
-        counts = [float(number) for number in orders.counts]
-        request = {'op': 'write', 'counts': counts, 'rezero': orders.rezero, 'due': self.probe_due}
+        request = {
+            'op': 'write',
+            'offset': orders.counts.tolist(),
+            'slope': (orders.slope * self._metre).tolist(),
+            'reference': (orders.reference / self._metre).tolist(),
+            'limit': orders.limit,
+            'rezero': orders.rezero,
+            'due': self.probe_due,
+        }
         return self._status(self._ask(request))
 
     def limits(self) -> ControllerLimits:
         """Return the limits of the HAL file."""
-        return ControllerLimits(**self._ask({'op': 'limits'}))
+        found = self._ask({'op': 'limits'})
+        return ControllerLimits(**{**found, 'slope': found['slope'] / self._metre})
 
     def claim(self) -> None:
         """Become the writer of the counts, from where they stand.
@@ -149,11 +161,19 @@ class Linuxcnc(Controller[ControllerStatus, ControllerOutput, ControllerLimits])
 
     def _status(self, found: dict[str, Any]) -> ControllerStatus:
         self._check_time(found['tick'])
-        metre = 1e-3 / found['units']
+        metre = self._metre = 1e-3 / found['units']
 
         def column(name: str, unit: float) -> Any:
             return unit * np.array([found[f'{name}-{axis}'] for axis in self._axes], np.float64)
 
+        scale = column('scale', metre)
+        ends = [column('min', metre), column('max', metre)] if found['slopes'] else [scale, scale]
+        travel = Travel(low=ends[0], high=np.where(ends[1] - ends[0] < FAR, ends[1], ends[0]))
+        lines = base = None
+        if found['slopes']:
+            inside = np.concatenate([scale * column(name, 1.0) for name in ('low', 'high')])
+            lines = travel.lines(inside, travel.low)
+            base = scale * column('base', 1.0)
         return ControllerStatus(
             mode=MachineMode[found['mode'].upper()],
             homed=found['homed'],
@@ -166,7 +186,11 @@ class Linuxcnc(Controller[ControllerStatus, ControllerOutput, ControllerLimits])
             applied=column('applied', metre),
             register=column('request', metre),
             counts=column('register', 1.0),
-            scale=column('scale', metre),
+            scale=scale,
+            lines=lines,
+            travel=travel,
+            base=base,
+            tracking=found['tracking'],
             tick=found['tick'],
             spindle_speed=2.0 * math.pi * found['spindle'],
             coolant=found['coolant'],

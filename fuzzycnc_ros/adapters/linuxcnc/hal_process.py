@@ -27,6 +27,16 @@ MODE_PERIOD = 0.05
 ARMING = 0.05
 """Time [s] for the servo thread to see an edge of the enable of its watchdog."""
 PREFIX = 'fuzzycnc'
+HAL_FILES = ('fuzzycnc.hal', 'fuzzycnc_offset.hal')
+LINE = ('offset', 'slope', 'reference')
+"""What the component fuzzycnc_offset takes of each axis."""
+VALID_FOR = 10.0
+"""How long it may follow a set without another one [s]."""
+TAKEN = 3.0
+"""Time [s] after which a set that it has not taken is told; it takes two servo periods, and a
+servo thread that stands still is told before."""
+NUMBERS = 32767
+"""Numbers of sets go from 1 to this and begin anew."""
 PROBE_READS = ('probe-code', 'probe-value')
 """Signals of fuzzycnc_probe.hal: the code is read first, since the number is written first."""
 PROBE_DUE = 'probe-due'
@@ -100,29 +110,39 @@ class Bridge:
         self._name = f'{PREFIX}-{os.getpid()}-{begin_of(os.getpid())}'
         self._component = hal.component(self._name)
         kinds = {'f': hal.HAL_FLOAT, 's': hal.HAL_S32, 'b': hal.HAL_BIT}
+        known = {item['NAME'] for item in hal.get_info_signals()}
+        self._slopes = f'{PREFIX}-sequence' in known
         reads = [(n, 'b') for n in ('homed', 'ready', 'alive', 'on', 'soft-limited')]
         writes = [('heartbeat', 'b'), ('enable', 'b'), ('rezero', 'b')]
+        axis_reads = [('position', 'f'), ('applied', 'f'), ('request', 'f'), ('register', 's')]
+        axis_writes = LINE if self._slopes else ('counts',)
+        if self._slopes:
+            reads += [('acknowledged', 's'), ('following', 'b'), ('tracking', 'b')]
+            writes += [('sequence', 's'), ('valid-for', 'f'), ('limit', 'f')]
+            axis_reads += [('low', 'f'), ('high', 'f'), ('base', 'f')]
         for axis in axes:
-            reads += [(f'{n}-{axis}', 'f') for n in ('position', 'applied', 'request')]
-            reads.append((f'register-{axis}', 's'))
-            writes.append((f'counts-{axis}', 'f'))
+            reads += [(f'{name}-{axis}', kind) for name, kind in axis_reads]
+            writes += [(f'{name}-{axis}', 'f') for name in axis_writes]
         new = self._component.newpin
         self._in = {name: new(name, kinds[kind], hal.HAL_IN) for name, kind in reads}
         self._out = {name: new(name, kinds[kind], hal.HAL_OUT) for name, kind in writes}
         self._probe_in = {name: new(name, hal.HAL_FLOAT, hal.HAL_IN) for name in PROBE_READS}
         self._due = new(PROBE_DUE, hal.HAL_BIT, hal.HAL_OUT)
         self._component.ready()
-        known = {item['NAME'] for item in hal.get_info_signals()}
         missing = sorted(f'{PREFIX}-{n}' for n in (*self._in, *self._out))
         missing = [name for name in missing if name not in known]
         if missing:
             self._component.exit()
             raise HalError(
-                f'expected the signals of fuzzycnc.hal but {", ".join(missing)} are missing; '
-                'load the HAL file, and compare the axes'
+                f'expected the signals of {HAL_FILES[self._slopes]} but {", ".join(missing)} are '
+                'missing; load the HAL file, and compare the axes'
             )
         for name in self._in:
             hal.connect(f'{self._name}.{name}', f'{PREFIX}-{name}')
+        # the pin that writes a register tells which axis of the component it is
+        self._places = {
+            axis: self.writer(f'register-{axis}').partition('.counts-') for axis in axes
+        }
         self._probed = all(f'{PREFIX}-{name}' in known for name in PROBE_READS)
         if self._probed:
             for name in PROBE_READS:
@@ -153,8 +173,17 @@ class Bridge:
     def limits(self):
         """Return the limits of the servo thread."""
         value = self._hal.get_value
+        if self._slopes:
+            name = self.writer('acknowledged').rpartition('.')[0]
+            return {
+                'counts_max': value(f'{name}.size-max'),
+                'counts_rate': value(f'{name}.rate-max'),
+                'slope': value(f'{name}.slope-max'),
+                'hold_time': value(f'{name}.hold-time'),
+            }
         rows = [f'{PREFIX}-limit-{axis}' for axis in self._axes]
         return {
+            'slope': 0.0,
             'counts_max': min(min(value(f'{n}.max'), -value(f'{n}.min')) for n in rows),
             'counts_rate': min(value(f'{n}.maxv') for n in rows),
             'hold_time': value('watchdog.timeout-0'),
@@ -170,18 +199,25 @@ class Bridge:
             if pin:
                 self._hal.disconnect(pin)
         self._out['enable'].value = bool(self._hal.get_value(f'{PREFIX}-enable'))
-        for axis in self._axes:
-            self._out[f'counts-{axis}'].value = self._in[f'register-{axis}'].value
+        if self._slopes:
+            self._out['sequence'].value = self._in['acknowledged'].value
+            self._set, self._set_at = None, time.monotonic()
+        else:
+            for axis in self._axes:
+                self._out[f'counts-{axis}'].value = self._in[f'register-{axis}'].value
         for name in self._out:
             self._hal.connect(f'{self._name}.{name}', f'{PREFIX}-{name}')
         self._claimed = True
 
-    def write(self, counts, rezero):
-        """Write counts, and show the watchdog that somebody is there."""
+    def write(self, lines, rezero):
+        """Write offsets, slopes and references; show the watchdog that somebody is there."""
         if not self._claimed:
             raise HalError('the pins have not been claimed')
-        for number, axis in enumerate(self._axes):
-            self._out[f'counts-{axis}'].value = counts[number]
+        if self._slopes:
+            self._write_set(lines)
+        else:
+            for axis, counts in zip(self._axes, lines['offset'], strict=True):
+                self._out[f'counts-{axis}'].value = counts
         self._out['rezero'].value = rezero
         beat, enable = self._out['heartbeat'], self._out['enable']
         beat.value = not beat.value
@@ -190,6 +226,27 @@ class Bridge:
         if not self._in['alive'].value and now - self._edge_at > ARMING:
             enable.value = not enable.value
             self._edge_at = now
+
+    def _write_set(self, lines):
+        """Write a set that is news, once the one before was taken: half of one is never taken."""
+        now, number = time.monotonic(), self._out['sequence'].value
+        if self._in['acknowledged'].value != number:
+            if now - self._set_at > TAKEN:
+                raise HalError(
+                    f'fuzzycnc_offset has not taken set {number} for {TAKEN:g} s; is its function '
+                    'in servo-thread'
+                )
+            return
+        stands = self._in['following'].value and now - self._set_at < VALID_FOR / 3.0
+        if lines == self._set and stands:
+            return
+        for name in LINE:
+            for axis, value in zip(self._axes, lines[name], strict=True):
+                self._out[f'{name}-{axis}'].value = value
+        self._out['limit'].value = lines['limit']
+        self._out['valid-for'].value = VALID_FOR
+        self._out['sequence'].value = number % NUMBERS + 1
+        self._set, self._set_at = lines, now
 
     def release(self):
         """Write no more; what still stands goes to zero in the servo thread, at once."""
@@ -205,9 +262,14 @@ class Bridge:
         if now - self._mode_at > MODE_PERIOD:
             self._mode, self._mode_at = self._read_mode(), now
         found = {name: pin.value for name, pin in (*self._probe_in.items(), *self._in.items())}
-        found['probed'] = self._probed
+        found['probed'], found['slopes'] = self._probed, self._slopes
+        found.setdefault('tracking', True)
         for axis in self._axes:
             found[f'scale-{axis}'] = self._hal.get_value(f'axis.{axis}.eoffset-scale')
+            if self._slopes:
+                name, _, number = self._places[axis]
+                for end in ('min', 'max'):
+                    found[f'{end}-{axis}'] = self._hal.get_value(f'{name}.{end}-{number}')
         found['tick'] = self._hal.get_value('servo-thread.time')
         return {**found, **self._mode}
 
@@ -264,7 +326,7 @@ def serve(bridge, memory):
             elif operation == 'release':
                 bridge.release()
             elif operation == 'write':
-                bridge.write(request['counts'], request['rezero'])
+                bridge.write({name: request[name] for name in (*LINE, 'limit')}, request['rezero'])
             elif operation == 'limits':
                 answer(bridge.limits())
                 continue

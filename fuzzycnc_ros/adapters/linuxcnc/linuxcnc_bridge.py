@@ -9,6 +9,7 @@ import numpy as np
 
 from fuzzycnc_ros.adapters.controller_bridge import (
     CLOSE,
+    NOTHING,
     SETTLING,
     ControllerBridge,
     ControllerBridgeConfig,
@@ -20,11 +21,15 @@ from fuzzycnc_ros.adapters.linuxcnc.status import (
     OffsetRegisters,
     RegisterPhase,
 )
-from fuzzycnc_ros.core.config import param, same_param
+from fuzzycnc_ros.core.config import param
+from fuzzycnc_ros.core.inputs.lines import Lines, Travel
 from fuzzycnc_ros.core.inputs.offset_input import OffsetInputConfig
 from fuzzycnc_ros.core.inputs.offsets import describe
 from fuzzycnc_ros.runtime.component import Emission
-from fuzzycnc_ros.runtime.records import Bools, nanoseconds
+from fuzzycnc_ros.runtime.records import Bools, Floats, nanoseconds
+
+END_MAX = 1e-3
+"""Largest offset that a line may have at an end of the travel [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +45,6 @@ class LinuxcncBridgeConfig(ControllerBridgeConfig):
     slew_max: float = param(
         5e-6, 'm/s', 'Fastest change of an offset; below the HAL file', low=1e-9, high=1e-3
     )
-    slope_max: float = same_param(OffsetInputConfig, 'slope_max')
-    speed_max: float = same_param(OffsetInputConfig, 'speed_max')
     cycle_period: float = param(
         0.005, 's', 'Time between two looks at LinuxCNC', low=0.001, high=0.1
     )
@@ -67,19 +70,17 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
         self._registers = OffsetRegisters(len(self._axes))
 
     @property
-    def _limits(self) -> OffsetInputConfig:
-        slope, speed = self._config.slope_max, self._config.speed_max
-        return replace(super()._limits, slope_max=slope, speed_max=speed)
-
-    @property
     def moving(self) -> bool:
         """Whether LinuxCNC is on its way to what was written last."""
         status, orders = self._status, self._orders
         if status is None or orders is None or not status.led:
             return False
+        wanted = Lines(
+            offset=orders.counts, slope=orders.slope, reference_position=orders.reference
+        ).at(status.position)
+        apart = np.clip(wanted, -orders.limit, orders.limit) - status.counts
         return bool(
-            np.any(orders.counts != status.counts)
-            or np.any(np.abs(status.applied - status.register) > CLOSE)
+            np.any(np.abs(apart) > 1.0) or np.any(np.abs(status.applied - status.register) > CLOSE)
         )
 
     @property
@@ -105,8 +106,8 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
         assert status is not None, 'pins are taken after LinuxCNC has been read'
         self._holding = True
         self._registers.restart()
-        self._input = self._adopting(status.register)
-        self._orders = ControllerOutput(counts=status.counts.copy())
+        self._resume(status)
+        self._orders = self._output(status.standing, status)
 
     def refusal(self, limits: ControllerLimits, status: ControllerStatus) -> str:
         """Say why offsets must not be written with the limits of the HAL file; empty if fine."""
@@ -118,12 +119,13 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
         for what, own, unit, theirs in (
             ('offset_max', self._config.offset_max, 'um', limits.counts_max),
             ('slew_max', self._config.slew_max, 'um/s', limits.counts_rate),
+            ('slope_max', self._config.slope_max, 'um/m', limits.slope or np.inf),
         ):
             least = theirs * float(np.min(status.scale))
             if own > least:
                 return (
                     f'{what} = {1e6 * own:g} {unit} is above the {1e6 * least:g} {unit} of the '
-                    'HAL file; lower it, or raise [FUZZYCNC]COUNTS_*'
+                    'HAL file; lower it, or raise [FUZZYCNC]COUNTS_* or SLOPE_MAX'
                 )
         return ''
 
@@ -136,12 +138,13 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
         found = self._holding and self._registers.observe(status)
         if found or not self._leads:
             # Others move or clear the registers: when that is over, go on from where they are.
-            self._input = self._adopting(status.register, self._input.epoch)
+            self._resume(status)
         why = self._forbidden(status)
         self._input.allow(not why or not self._leads, why)
-        wanted = self._input.advance(self._time, status.position)
+        ends = self._input.advance(self._time)
         if self._holding:
-            self._orders = self._registers.output(wanted, status)
+            wanted = status.travel.lines(ends, self._reference)
+            self._orders = self._output(wanted, status)
             if not self._active and self.at_rest:
                 self._holding, self._orders = False, None
         self._watch(status)
@@ -149,6 +152,38 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
 
     def _forget(self) -> None:
         self._registers = OffsetRegisters(len(self._axes))
+
+    def _output(self, wanted: Lines, status: ControllerStatus) -> ControllerOutput:
+        return self._registers.output(wanted, status, self._config.offset_max)
+
+    def _most_at_ends(self, status: ControllerStatus) -> Floats:
+        # The servo thread cuts at the place where the axis is.
+        span = status.travel.high - status.travel.low
+        return np.tile(self._most(status) + self._config.slope_max * span, 2)
+
+    @property
+    def _limits(self) -> OffsetInputConfig:
+        # A command has been cut before; its ends may be larger than what stands anywhere.
+        return replace(super()._limits, offset_max=END_MAX)
+
+    def _travel_of(self, status: ControllerStatus) -> Travel:
+        return status.travel
+
+    def _flat(self, axes: str) -> str:
+        status = self._status
+        if status is None or status.lines is None:
+            return (
+                'its HAL file is fuzzycnc.hal; load fuzzycnc_offset.hal, whose component '
+                '`fuzzycnc linuxcnc install` builds, or command no slope'
+            )
+        return f'give MIN_LIMIT and MAX_LIMIT of {axes} in the INI file, or command no slope'
+
+    def _resume(self, status: ControllerStatus) -> None:
+        """Go on from what the registers hold: the lines that stand, and their base."""
+        standing = status.standing
+        here = np.where(np.isnan(status.position), 0.0, status.position)
+        base = status.register - standing.at(here) if status.base is None else status.base
+        self._adopt(replace(standing, offset=standing.offset + base), status)
 
     @property
     def _leads(self) -> bool:
@@ -185,7 +220,9 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
 
     def _watch(self, status: ControllerStatus) -> None:
         """Note since when LinuxCNC has not been where its registers are."""
-        apart = status.ready and np.any(np.abs(status.applied - status.register) > CLOSE)
+        apart = status.ready and (
+            not status.tracking or np.any(np.abs(status.applied - status.register) > CLOSE)
+        )
         if not apart:
             self._apart_since = None
         elif self._apart_since is None:
@@ -196,6 +233,10 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
         apart = np.abs(status.applied - status.register) > CLOSE
         return np.asarray(apart & status.soft_limited, bool)
 
+    def _limited(self, status: ControllerStatus) -> Bools:
+        guard = (self._beyond(status) | self._steep) & self._leads
+        return np.asarray(guard | self._cut(status), bool)
+
     def _complaint(self, status: ControllerStatus) -> str:
         cut = self._cut(status)
         if np.any(cut):
@@ -205,9 +246,26 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
                 'as a margin'
             )
         if self._apart_since is None or self._time - self._apart_since <= nanoseconds(SETTLING):
-            return ''
+            return self._cut_text(status, self._beyond(status))
         standing = describe(self._axes, status.applied, np.abs(status.applied) > CLOSE)
+        wanted = self._input_at(status)
+        if np.all(np.abs(status.applied - wanted) <= CLOSE):
+            return self._cut_text(status, self._beyond(status))
         return (
             f'LinuxCNC stays at {standing or "zero"} instead of '
-            f'{describe(self._axes, status.register) or "zero"}; offsets do not move in joint mode'
+            f'{describe(self._axes, wanted) or "zero"}; offsets do not move in joint mode'
         )
+
+    def _input_at(self, status: ControllerStatus) -> Floats:
+        """Return the offsets that the guard allows where the axes are [m]."""
+        return np.clip(self._asked_at(status), -self._config.offset_max, self._config.offset_max)
+
+    def _asked_at(self, status: ControllerStatus) -> Floats:
+        """Return the offsets of the lines in force where the axes are [m]."""
+        lines = status.travel.lines(self._input.applied, self._reference)
+        return lines.at(np.where(np.isnan(status.position), 0.0, status.position))
+
+    def _beyond(self, status: ControllerStatus) -> Bools:
+        """Whether the size limit cuts the line of each axis where it is, or at an end."""
+        here = np.abs(self._asked_at(status)) > self._config.offset_max + NOTHING
+        return np.asarray(here | self._clipped, bool)

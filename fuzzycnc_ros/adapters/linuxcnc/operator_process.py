@@ -73,6 +73,12 @@ class Operator:
         self._command.teleop_enable(0)
         self._until(lambda s: s.motion_mode == linuxcnc.TRAJ_MODE_FREE, 'joint mode')
 
+    def jog(self, joint, distance, speed):
+        """Move a joint in joint mode by a distance [units] at a speed [units/s]."""
+        self._command.jog(linuxcnc.JOG_INCREMENT, True, joint, speed, distance)
+        self._command.wait_complete()
+        self._until(lambda s: s.inpos and abs(s.joint[joint]['velocity']) == 0.0, 'jogged')
+
     def unhome(self):
         """Forget the home of Z."""
         self.joints()

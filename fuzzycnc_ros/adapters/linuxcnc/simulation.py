@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError, linuxcnc_runs
+from fuzzycnc_ros.adapters.linuxcnc.hal_process import HAL_FILES
 from fuzzycnc_ros.ros.processes import child_set_up
 
 PYTHON = '/usr/bin/python3'
@@ -47,9 +48,9 @@ TOOL_TABLE = tool.tbl
 [HAL]
 HALUI = halui
 HALFILE = machine.hal
-HALFILE = fuzzycnc.hal
+HALFILE = {hal}
 [TRAJ]
-COORDINATES = XYZ
+COORDINATES = {letters}
 LINEAR_UNITS = mm
 ANGULAR_UNITS = degree
 MAX_LINEAR_VELOCITY = 500
@@ -57,8 +58,8 @@ DEFAULT_LINEAR_VELOCITY = 100
 DEFAULT_LINEAR_ACCELERATION = 2500
 MAX_LINEAR_ACCELERATION = 2500
 [KINS]
-KINEMATICS = trivkins coordinates=XYZ
-JOINTS = 3
+KINEMATICS = trivkins coordinates={letters} kinstype=BOTH
+JOINTS = {joints}
 """
 AXIS = """
 [AXIS_{axis}]
@@ -67,6 +68,8 @@ MAX_VELOCITY = 500
 MAX_ACCELERATION = 2500
 MIN_LIMIT = -200
 MAX_LIMIT = 200
+"""
+JOINT = """
 [JOINT_{joint}]
 TYPE = LINEAR
 HOME_SEQUENCE = 0
@@ -80,13 +83,11 @@ loadrt [KINS]KINEMATICS
 loadrt [EMCMOT]EMCMOT servo_period_nsec=[EMCMOT]SERVO_PERIOD num_joints=[KINS]JOINTS
 addf motion-command-handler servo-thread
 addf motion-controller servo-thread
-net J0 joint.0.motor-pos-cmd => joint.0.motor-pos-fb
-net J1 joint.1.motor-pos-cmd => joint.1.motor-pos-fb
-net J2 joint.2.motor-pos-cmd => joint.2.motor-pos-fb
 net estop-loop iocontrol.0.user-enable-out iocontrol.0.emc-enable-in
 net tool-prep-loop iocontrol.0.tool-prepare iocontrol.0.tool-prepared
 net tool-change-loop iocontrol.0.tool-change iocontrol.0.tool-changed
 """
+JOINT_HAL = 'net J{joint} joint.{joint}.motor-pos-cmd => joint.{joint}.motor-pos-fb'
 
 
 class LinuxcncSimulation:
@@ -96,17 +97,26 @@ class LinuxcncSimulation:
     ----------
     folder : Path
         Where its files go.
+    slopes : bool
+        Whether offsets may slope along an axis: needs the component `fuzzycnc_offset`.
+    letters : str
+        Axis of each joint; one with two joints is a gantry.
     **section : float
         Lines of the section `[FUZZYCNC]` that differ.
     """
 
-    def __init__(self, folder: Path, **section: float) -> None:
-        self._folder = folder
+    def __init__(
+        self, folder: Path, *, slopes: bool = False, letters: str = 'XYZ', **section: float
+    ) -> None:
+        self._folder, self.letters = folder, letters
+        self._hal = HAL_FILES[slopes]
         self._section = {
             'SCALE': 0.00001,
             'COUNTS_MAX': 10000,
             'COUNTS_MIN': -10000,
             'COUNTS_PER_SECOND': 100000,
+            'SLOPE_MAX': 50,
+            'SPEED_MAX': 1000,
             'HOLD_TIME': 6.0,
             **section,
         }
@@ -246,11 +256,15 @@ class LinuxcncSimulation:
     def _write_files(self) -> None:
         folder = self._folder
         lines = ['[FUZZYCNC]', *(f'{name} = {value}' for name, value in self._section.items())]
-        axes = (AXIS.format(axis=axis, joint=joint) for joint, axis in enumerate('XYZ'))
-        (folder / 'test.ini').write_text('\n'.join([INI, *lines, *axes]))
-        (folder / 'machine.hal').write_text(HAL)
+        letters = self.letters
+        ini = INI.format(hal=self._hal, letters=letters, joints=len(letters))
+        axes = [AXIS.format(axis=axis) for axis in dict.fromkeys(letters)]
+        joints = [JOINT.format(joint=joint) for joint in range(len(letters))]
+        (folder / 'test.ini').write_text('\n'.join([ini, *lines, *axes, *joints]))
+        nets = [JOINT_HAL.format(joint=joint) for joint in range(len(letters))]
+        (folder / 'machine.hal').write_text('\n'.join([HAL, *nets, '']))
         (folder / 'tool.tbl').write_text('')
-        shutil.copy(_hal_file(), folder)
+        shutil.copy(shipped(self._hal), folder)
         driver = folder / 'driver'
         source = Path(__file__).with_name('operator_process.py')
         driver.write_text(f'#!/bin/sh\nexec {PYTHON} -I {source} "$@"\n')
@@ -260,14 +274,14 @@ class LinuxcncSimulation:
             folder.chmod(0o755)
 
 
-def _hal_file() -> Path:
-    """Return the shipped HAL file: of the sources, or where they were installed."""
-    sources = Path(__file__).parents[3] / 'linuxcnc' / 'fuzzycnc.hal'
+def shipped(name: str) -> Path:
+    """Return a shipped file for LinuxCNC: of the sources, or where they were installed."""
+    sources = Path(__file__).parents[3] / 'linuxcnc' / name
     if sources.exists():
         return sources
     from ament_index_python.packages import get_package_share_directory
 
-    return Path(get_package_share_directory('fuzzycnc_ros')) / 'linuxcnc' / 'fuzzycnc.hal'
+    return Path(get_package_share_directory('fuzzycnc_ros')) / 'linuxcnc' / name
 
 
 @contextlib.contextmanager

@@ -8,6 +8,7 @@ from enum import Enum
 import numpy as np
 
 from fuzzycnc_ros.adapters.controller import Readout
+from fuzzycnc_ros.core.inputs.lines import Lines, Travel
 from fuzzycnc_ros.runtime.records import Floats
 
 
@@ -27,9 +28,24 @@ class ControllerStatus(Readout):
     """Counts that LinuxCNC sees [-]."""
     scale: Floats
     """Offset of one count [m]."""
+    lines: Lines | None = None
+    """Lines that the servo thread goes along; None where it knows none but counts."""
+    travel: Travel
+    """Where offsets may slope."""
+    base: Floats | None = None
+    """Offset at counts of zero, as the servo thread found it in its newest period [m]."""
+    tracking: bool = True
+    """Whether LinuxCNC moves offsets: not in joint mode."""
     tick: int
     """How long the servo thread took in its newest period, in its own unit: another number is
     another period."""
+
+    @property
+    def standing(self) -> Lines:
+        """Lines that counts stand for, whatever the registers make of them."""
+        if self.lines is None:
+            return Lines.constant(self.scale * self.counts)
+        return self.lines
 
     @property
     def led(self) -> bool:
@@ -43,7 +59,9 @@ class ControllerLimits:
 
     counts_max: float
     counts_rate: float
-    """Counts per second [1/s]."""
+    """Counts per second at a fixed place [1/s]."""
+    slope: float = 0.0
+    """Steepest line [counts/m]; 0 where the servo thread takes none."""
     hold_time: float
     """How long offsets stand without a bridge [s]."""
 
@@ -53,7 +71,13 @@ class ControllerOutput:
     """What the bridge writes."""
 
     counts: Floats
-    """Whole numbers, parallel to the axes."""
+    """Offsets at the references, parallel to the axes [counts]."""
+    slope: Floats
+    """[counts/m]"""
+    reference: Floats
+    """Positions at which the slopes have no effect [m]."""
+    limit: float
+    """Largest offset, wherever an axis is [counts]."""
     rezero: bool = False
     """Hold the registers at zero, whatever the counts do."""
 
@@ -104,9 +128,12 @@ class OffsetRegisters:
 
     def look(self, status: ControllerStatus) -> None:
         """Follow the bases without doing anything about them."""
-        found = status.register - status.scale * status.counts
+        found, still = status.base, True
+        if found is None:
+            found = status.register - status.scale * status.counts
+            still = np.array_equal(status.counts, self._counts)
         near = np.abs(found - self._seen) <= TOLERANCE * np.abs(status.scale)
-        if not (np.all(near) and np.array_equal(status.counts, self._counts)):
+        if not (np.all(near) and still):
             self._cycles = 0
         elif status.tick != self._tick:
             self._cycles += 1
@@ -142,11 +169,23 @@ class OffsetRegisters:
             self.phase, self.base = RegisterPhase.FOLLOWING, np.zeros_like(self.base)
         return False
 
-    def output(self, wanted: Floats, status: ControllerStatus) -> ControllerOutput:
-        """Return what to write so that the registers go to `wanted` [m]."""
-        if self.phase is RegisterPhase.SETTLING:
-            return ControllerOutput(counts=status.counts.copy())
+    def output(
+        self, wanted: Lines, status: ControllerStatus, most: float = np.inf
+    ) -> ControllerOutput:
+        """Return what brings the registers to `wanted`, no further than `most` [m]."""
+        zero = np.zeros_like(status.counts)
+        limit = most / float(np.min(status.scale))
         if self.phase is RegisterPhase.CLEARING:
-            return ControllerOutput(counts=np.zeros_like(wanted), rezero=True)
-        counts = (wanted - self.base) / status.scale
-        return ControllerOutput(counts=np.rint(counts) + 0.0)
+            return ControllerOutput(
+                counts=zero, slope=zero, reference=zero, limit=limit, rezero=True
+            )
+        base, lines = self.base, wanted
+        if self.phase is RegisterPhase.SETTLING:
+            base, lines = zero, status.standing
+        counts = (lines.offset - base) / status.scale
+        return ControllerOutput(
+            counts=np.rint(counts) + 0.0 if status.lines is None else counts,
+            slope=lines.slope / status.scale,
+            reference=lines.reference_position,
+            limit=limit,
+        )

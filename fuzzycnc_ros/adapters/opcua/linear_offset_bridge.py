@@ -17,17 +17,13 @@ from fuzzycnc_ros.adapters.controller_bridge import (
 from fuzzycnc_ros.adapters.opcua.hand_shake import HandShake, WriterWatch
 from fuzzycnc_ros.adapters.opcua.offset_lines import LineOrders, LineStatus
 from fuzzycnc_ros.core.config import param
-from fuzzycnc_ros.core.inputs.lines import Lines
-from fuzzycnc_ros.core.inputs.offset_input import content_refusal
+from fuzzycnc_ros.core.inputs.lines import Lines, Travel
 from fuzzycnc_ros.core.inputs.offsets import describe
 from fuzzycnc_ros.runtime.component import Emission
-from fuzzycnc_ros.runtime.enums import AppliedStatus
-from fuzzycnc_ros.runtime.records import Bools, Compensation, Floats, Names, nanoseconds
+from fuzzycnc_ros.runtime.records import Bools, Floats, nanoseconds
 
 MOTION = 0.01
 """How far an axis may go between the readings of its position and its offset [m]."""
-COLUMNS = ('offset', 'slope', 'reference_position')
-"""What makes a line."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,10 +68,7 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
         size = len(self._axes)
         self._hand_shake = HandShake(self._config.validity)
         self._writers = WriterWatch(self._config.takeover_time)
-        self._reference = np.zeros(size)
-        self._clipped = np.zeros(size, bool)
         self._narrowed = np.zeros(size, bool)
-        self._unusable = ''
         self._still = np.zeros(size)
         self._last = np.zeros(size)
 
@@ -111,7 +104,7 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
         assert status is not None, 'hold is taken after the control has been read'
         self._holding = True
         self._hand_shake.begin(self._time, status)
-        self._adopt(status)
+        self._resume(status)
         self._order(status)
 
     def refusal(self) -> str:
@@ -145,7 +138,7 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
         if paused:
             self._hand_shake.await_no_more()
         if not self._leads or gone or self._theirs != status.limits.slew_max:
-            self._adopt(status)
+            self._resume(status)
         why = self._forbidden(status)
         self._input.allow(not why or not self._leads, why)
         self._input.advance(self._time)
@@ -160,11 +153,11 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
         """Return what was read last: the control goes on without a connection."""
         return self._last
 
-    @property
-    def _places(self) -> Names:
-        """The lower ends of the travel, then the upper ones."""
-        axes = self._config.axes
-        return (*(f'{axis} low' for axis in axes), *(f'{axis} high' for axis in axes))
+    def _travel_of(self, status: LineStatus) -> Travel:
+        return status.limits.travel
+
+    def _flat(self, axes: str) -> str:
+        return 'give slope, reference_position and travel in the control file, or command no slope'
 
     @property
     def _slew_max(self) -> float:
@@ -192,16 +185,13 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
             self._hand_shake.forget()
             self._writers.collide(self._time)
 
-    def _adopt(self, status: LineStatus) -> None:
+    def _resume(self, status: LineStatus) -> None:
         """Go on from what is in force."""
         lines = Lines.constant(np.where(np.isfinite(status.applied), status.applied, 0.0))
         if self._stands(status):
             lines = status.lines
-        self._theirs, self._unusable = status.limits.slew_max, ''
-        self._reference = lines.reference_position
-        self._clipped = np.zeros(len(self._axes), bool)
-        ends = status.limits.travel.ends(lines)
-        self._input = self._adopting(ends, self._input.epoch)
+        self._theirs = status.limits.slew_max
+        self._adopt(lines, status)
 
     def _stands(self, status: LineStatus) -> bool:
         """Whether the control follows the lines in its variables, as far as that can be seen."""
@@ -213,51 +203,6 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
             return False
         idle = np.isnan(lines.at(status.position)) & (status.applied == 0.0)
         return not np.any(idle | self._away(status, lines))
-
-    def _command(self, command: Compensation) -> bool:
-        """Guard a command by its values at the ends of the travel."""
-        status = self._status
-        assert status is not None, 'who leads has read the control'
-        travel = status.limits.travel
-        columns = {name: np.asarray(getattr(command, name), np.float64) for name in COLUMNS}
-        self._unusable = content_refusal(self._axes, command.axis, columns) or self._steep(
-            command, travel.sloping
-        )
-        if self._unusable:
-            return False
-        rows = [self._axes.index(axis) for axis in command.axis]
-        full = {name: np.zeros(len(self._axes)) for name in COLUMNS}
-        for name, values in columns.items():
-            full[name][rows] = values
-        lines = Lines(**full)
-        wanted = travel.ends(lines)
-        most = np.tile(self._most(status), 2)
-        cut = np.clip(wanted, -most, most)
-        answer = self._input.command(
-            command.epoch,
-            self._places,
-            cut,
-            stamp=command.stamp + self._ahead,
-            valid_until=command.valid_until + self._ahead,
-        )
-        if answer.accepted:
-            self._clipped = np.any(np.split(cut != wanted, 2), axis=0)
-            self._reference = lines.reference_position
-        return answer.accepted
-
-    def _steep(self, command: Compensation, sloping: Bools) -> str:
-        """Say which slope this control cannot take; empty if it can take all."""
-        flat = [
-            axis
-            for axis, slope in zip(command.axis, command.slope, strict=True)
-            if slope != 0.0 and not sloping[self._axes.index(axis)]
-        ]
-        if flat:
-            return (
-                f'slope: the control takes none on {", ".join(flat)}; give slope, '
-                'reference_position and travel in the control file, or command no slope'
-            )
-        return ''
 
     def _most(self, status: LineStatus) -> Floats:
         """Return the smaller of our limits and those of the control [m]."""
@@ -331,12 +276,6 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
         guard = np.any(np.split(self._input.at_limit, 2), axis=0)
         return np.asarray(guard | self._cut(status), bool)
 
-    def _verdict(self, status: LineStatus, why: str) -> tuple[AppliedStatus, str]:
-        code, reason = super()._verdict(status, why)
-        if self._active and not why and self._unusable:
-            return AppliedStatus.REFUSED, self._unusable
-        return code, reason
-
     def _complaint(self, status: LineStatus) -> str:
         if self._apart_since is not None:
             if self._time - self._apart_since > nanoseconds(SETTLING):
@@ -347,7 +286,4 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
                     f'the control stays at {describe(self._axes, status.applied, apart)} instead '
                     f'of {describe(self._axes, lines.at(status.position), apart)}'
                 )
-        cut = self._clipped | self._narrowed
-        if np.any(cut) and int(self._input.status) == AppliedStatus.FOLLOWING:
-            return f'cut at the limit of {describe(self._axes, self._most(status), cut)}'
-        return ''
+        return self._cut_text(status, self._clipped | self._narrowed)

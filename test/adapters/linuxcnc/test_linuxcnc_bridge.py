@@ -7,7 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from benches.bridge_bench import Compensated
-from benches.linuxcnc_rig import CYCLE, HOLD, RATE, SCALE, SLEW, Controller, Rig, settled
+from benches.linuxcnc_rig import (
+    CYCLE,
+    HOLD,
+    RATE,
+    SCALE,
+    SLEW,
+    Controller,
+    Rig,
+    ThreadController,
+    settled,
+)
 from benches.probe_rig import zeroed
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -100,12 +110,88 @@ def test_counts_are_whole():
     assert abs(rig.last.offset[0] - 0.123456e-6) <= 0.5 * SCALE + 1e-12
 
 
-def test_line_along_an_axis():
+def test_slope_is_refused_where_the_servo_thread_takes_none():
     rig = settled((0, 0, 0))
     rig.command((10, 0, 0), slope=(1e-4, 0, 0), reference=(0.1, 0, 0))
-    rig.controller.position = np.array([0.3, 0, 0])
     rig.run(2.0)
+    assert rig.last.status == AppliedStatus.REFUSED
+    assert 'LinuxCNC takes none on X; its HAL file is fuzzycnc.hal; load' in rig.last.reason
+    assert rig.at((0, 0, 0))
+
+
+def test_line_follows_the_axis_between_two_cycles():
+    rig = settled((0, 0, 0), controller=ThreadController())
+    rig.command((10, 0, 0), slope=(1e-4, 0, 0), reference=(0.1, 0, 0))
+    rig.controller.position = np.array([0.3, 0, 0])
+    rig.run(3.0)
     assert rig.at((30, 0, 0))
+    told = rig.bridge.orders
+    rig.controller.position = np.array([-0.1, 0, 0])
+    rig.controller.cycle(steps=1000)
+    np.testing.assert_allclose(rig.controller.applied[0], -10e-6, atol=SCALE)
+    assert rig.bridge.orders is told
+    rig.run(0.5)
+    assert rig.at((-10, 0, 0))
+    assert not rig.last.at_limit.any()
+
+
+def test_line_is_cut_where_it_is_too_large_and_nowhere_else():
+    rig = settled((0, 0, 0), controller=ThreadController())
+    rig.command((10, 0, 0), slope=(4e-4, 0, 0))
+    rig.run(5.0)
+    assert rig.at((10, 0, 0))
+    assert not rig.last.at_limit.any()
+    rig.controller.position = np.array([0.3, 0, 0])
+    rig.run(1.0)
+    assert rig.at((60, 0, 0))
+    assert rig.last.at_limit.tolist() == [True, False, False]
+    assert 'cut at the limit of X 60.00 um' in rig.last.reason
+
+
+def test_too_steep_a_line_is_cut():
+    rig = settled((0, 0, 0), controller=ThreadController())
+    rig.command((10, 0, 0), slope=(9e-4, 0, 0))
+    rig.controller.position = np.array([0.05, 0, 0])
+    rig.run(5.0)
+    assert rig.at((35, 0, 0))
+    assert rig.last.at_limit.tolist() == [True, False, False]
+    assert rig.last.reason == 'slope of X cut at 500 um/m'
+
+
+def test_a_slope_without_a_travel_is_refused():
+    rig = settled((0, 0, 0), controller=ThreadController(travel=0.0))
+    rig.command((10, 0, 0), slope=(1e-4, 0, 0))
+    rig.run(1.0)
+    assert 'give MIN_LIMIT and MAX_LIMIT of X' in rig.last.reason
+
+
+def test_new_bridge_goes_on_along_the_line_that_stands():
+    rig = settled((0, 0, 0), controller=ThreadController())
+    rig.command((10, 0, 0), slope=(1e-4, 0, 0))
+    rig.controller.position = np.array([0.2, 0, 0])
+    rig.run(3.0)
+    rig.silence(1.0)
+    rig.restart()
+    rig.run(1.0)
+    assert rig.at((30, 0, 0))
+    rig.controller.position = np.array([0.0, 0, 0])
+    rig.run(1.0)
+    assert rig.at((10, 0, 0))
+
+
+def test_offsets_stay_in_joint_mode_and_go_on_after_it():
+    rig = settled((0, 0, 20), controller=ThreadController())
+    rig.controller.tracking = False
+    rig.command((0, 0, 40))
+    rig.run(3.0)
+    assert 'stays at Z 20.00 um instead of Z 40.00 um' in rig.last.reason
+    rig.controller.tracking = True
+    begin = len(rig.path)
+    rig.run(2.0)
+    assert rig.at((0, 0, 40))
+    assert not rig.last.reason
+    steps = np.abs(np.diff(rig.path[begin:], axis=0)).max()
+    assert steps <= RATE * SCALE * CYCLE + SCALE
 
 
 def test_ramps_to_zero_before_it_lets_go():
@@ -392,16 +478,18 @@ EVENTS = st.sampled_from(
 )
 
 
+@pytest.mark.parametrize('controller', [Controller, ThreadController])
 @settings(max_examples=15, deadline=None)
-@given(st.lists(st.tuples(EVENTS, st.integers(-60, 60)), max_size=12))
-def test_whatever_happens_it_never_steps_and_zero_is_zero(events):
+@given(events=st.lists(st.tuples(EVENTS, st.integers(-60, 60)), max_size=12))
+def test_whatever_happens_it_never_steps_and_zero_is_zero(controller, events):
     """Offsets move no faster than the HAL file lets them, and end at zero with counts of zero."""
-    rig = Rig()
+    rig = Rig(controller())
     rig.run(0.2)
     killed = False
     for event, number in events:
         if event == 'command':
-            rig.command((number, -number, 0))
+            slope = 1e-6 * number if controller is ThreadController else 0.0
+            rig.command((number, -number, 0), slope=(0.0, slope, 0.0))
         elif event in ('off', 'on'):
             rig.controller.on = event == 'on'
         elif event in ('freeze', 'thaw'):

@@ -11,6 +11,7 @@ from fuzzycnc_ros.adapters.linuxcnc.status import (
     OffsetRegisters,
     RegisterPhase,
 )
+from fuzzycnc_ros.core.inputs.lines import Travel
 from fuzzycnc_ros.runtime.enums import MachineMode
 
 SCALE = 1e-8
@@ -31,6 +32,7 @@ def status(tick, counts, register):
         register=offset,
         counts=np.array([float(counts)]),
         scale=np.array([SCALE]),
+        travel=Travel(low=np.zeros(1), high=np.zeros(1)),
         tick=tick,
     )
 

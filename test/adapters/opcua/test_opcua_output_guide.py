@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from benches.component_bench import Bench
 from benches.line_control import LineControl
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fuzzycnc_ros.adapters.opcua.control_file import read_control
 from fuzzycnc_ros.adapters.opcua.opcua_bridge import OpcuaBridge, OpcuaBridgeConfig
 from fuzzycnc_ros.runtime.enums import AppliedStatus
 from fuzzycnc_ros.runtime.records import Compensation, nanoseconds
@@ -77,6 +79,32 @@ class Program:
         )
 
 
+ERROR_LINES = {
+    # Siemens, Extended Functions, K3: dK = K0 + tan b (P - P0), in mm
+    'Sinumerik': lambda offset, slope, place, x: 1e-3 * (offset + slope * (1e3 * x - place)),
+    # Beckhoff, P-AXIS-00272 to 00274: 0.1 um, um/m and 0.1 um
+    'TwinCAT': lambda offset, slope, place, x: 1e-7 * offset + 1e-6 * slope * (x - 1e-7 * place),
+}
+
+
+@pytest.mark.parametrize('control', ERROR_LINES)
+def test_what_controls_are_given_is_the_negative_of_their_error_line(control, tmp_path):
+    """Signs and units of the page, put into the formulas of the makers."""
+    whole = yaml.safe_load(re.findall(r'```yaml\n(.*?)```', GUIDE, re.S)[0])
+    whole['state']['on'] = whole['state'].pop(True)  # this reader takes a bare one for a yes
+    (text,) = re.findall(rf'```yaml\n# {control}\n(.*?)```', GUIDE, re.S)
+    given = yaml.safe_load(text)
+    given['axes']['X'] |= {'applied': 'ns=2;s=Comp.X.Applied', 'travel': [-100, 500]}
+    file = tmp_path / 'control.yaml'
+    file.write_text(yaml.safe_dump({**whole, **given}))
+    found = read_control(file).variables
+    line = {'offset': 12e-6, 'slope': 286e-6, 'reference_position': -0.1}
+    written = [value / found[f'X.{name}'].scale for name, value in line.items()]
+    for x in (-0.1, 0.0, 0.4):
+        error = ERROR_LINES[control](*written, x)
+        assert -error == pytest.approx(12e-6 + 286e-6 * (x + 0.1), rel=1e-9)
+
+
 def test_no_variable_of_the_program_hides_a_function_or_another():
     """Names of structured text have no case."""
     names = [name.lower() for name in Program().values]
@@ -129,6 +157,40 @@ def test_program_of_the_guide_is_the_one_that_the_tests_run(steps):
             )
             assert program.values['Alive'] == control.alive
             assert program.values['Acknowledged'] == control.acknowledged
+
+
+def in_force(**inputs):
+    """Return the program with a set in force, and what it is scanned with."""
+    program = Program()
+    inputs = {
+        **{'Enable': True, 'Heartbeat': 1, 'Sequence': 1, 'CycleTime': 0.001, 'ValidFor': 60.0},
+        **{'K0': 10.0, 'Slope': 0.0, 'P0': 0.0, 'Position': 0.0, **inputs},
+    }
+    for _ in range(5000):
+        program.scan(**inputs)
+    return program, inputs
+
+
+def test_program_follows_an_axis_that_moves_faster_than_its_ramp():
+    """200 mm/s along 286 um/m are 57 um/s; what is asked for at a place goes at 20 um/s."""
+    program, inputs = in_force(K0=-30.0, Slope=0.286)
+    assert program.values['Applied'] == pytest.approx(-30.0)
+    for step in range(1000):
+        program.scan(**{**inputs, 'Position': 0.2 * (step + 1)})
+        assert program.values['Applied'] == pytest.approx(-30.0 + 0.286 * 0.2 * (step + 1))
+    program.scan(**{**inputs, 'Position': 0.0})  # it leaps, as when it is homed
+    assert program.values['Applied'] == pytest.approx(27.2 - 0.02)
+
+
+@pytest.mark.parametrize('written', range(4))
+def test_half_a_set_is_never_in_force(written):
+    """However many of its values stand, the set before is followed until the number comes."""
+    program, inputs = in_force()
+    new = [('K0', -40.0), ('Slope', 0.2), ('P0', 100.0), ('ValidFor', 0.01)]
+    for heartbeat in range(2, 200):
+        inputs |= {'Heartbeat': heartbeat, **dict(new[: written + 1])}
+        program.scan(**inputs)
+        assert program.values['Applied'] == pytest.approx(10.0)
 
 
 def test_adapter_of_the_guide_carries_offsets():

@@ -7,6 +7,9 @@ import numpy as np
 WATCHDOG = 3.0
 """Time without a heartbeat after which the control lets go [s]."""
 
+SPEED_MAX = 1.0
+"""Fastest motion of an axis [m/s]."""
+
 
 class LineControl:
     """Variables as a control has them, here in SI units, and what its program does with them.
@@ -38,6 +41,7 @@ class LineControl:
         self.acknowledged, self.alive = 0, False
         self.applied = np.zeros(size)
         self._set = (np.zeros(size), np.zeros(size), np.zeros(size), 0.0)
+        self._before = np.zeros(size)
         self._heard, self._silence, self._age = 0, 1e9, 0.0
 
     def scan(self, duration: float) -> None:
@@ -60,9 +64,16 @@ class LineControl:
         offset, slope, reference, valid_for = self._set
         ready = self.on and self.homed and self.allowed and not (self.estop or self.fault)
         follows = ready and self.alive and self.acknowledged != 0 and self._age <= valid_for
+        here, there = (
+            np.clip(offset + slope * (place - reference), -self.limit, self.limit)
+            for place in (self.position, self._before)
+        )
+        near = np.abs(self.position - self._before) <= SPEED_MAX * duration
+        self._before = self.position.copy()
         target = np.zeros(self.size)
         if follows:
-            wanted = offset + slope * (self.position - reference)
-            target = np.clip(wanted, -self.limit, self.limit)
+            target = here
+            along = np.where(near & (not self.stuck), here - there, 0.0)
+            self.applied = np.clip(self.applied + along, -self.limit, self.limit)
         reach = 0.0 if self.stuck else self.slew * duration
         self.applied = self.applied + np.clip(target - self.applied, -reach, reach)

@@ -2,12 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bridge on LinuxCNC's registers and HAL file as they were measured, without a HAL."""
 
+from dataclasses import replace
+
 import numpy as np
 from benches.bridge_bench import BridgeRig
 from benches.component_bench import Bench
+from benches.offset_thread import OffsetLimits, OffsetThread
 
 from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_bridge import LinuxcncBridge, LinuxcncBridgeConfig
 from fuzzycnc_ros.adapters.linuxcnc.status import ControllerStatus
+from fuzzycnc_ros.core.inputs.lines import Travel
 from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
 from fuzzycnc_ros.runtime.records import nanoseconds
 
@@ -70,6 +74,9 @@ class Controller:
             self.register = self.register + self.scale * (self.counts - before)
         if ready and self.enable:
             self.applied = np.clip(self.register, -self.cap, self.cap)
+        return self._status(ready)
+
+    def _status(self, ready):
         return ControllerStatus(
             mode=MachineMode.ON if self.on else MachineMode.OFF,
             homed=self.homed,
@@ -83,8 +90,69 @@ class Controller:
             register=self.register,
             counts=self.counts,
             scale=self.scale,
+            travel=Travel(low=np.zeros(3), high=np.zeros(3)),
             tick=self.tick,
             probe=self.probe,
+        )
+
+
+class ThreadController(Controller):
+    """LinuxCNC's registers under the component `fuzzycnc_offset`, whose C it runs."""
+
+    def __init__(self, travel=0.3):
+        super().__init__()
+        self.travel = Travel(low=np.full(3, -travel), high=np.full(3, travel))
+        self.threads = [
+            OffsetThread(
+                OffsetLimits(size=10_000.0, rate=RATE, slope=0.01 / SCALE, speed=1.0),
+                *(-travel, travel),
+            )
+            for _ in range(3)
+        ]
+        self.tracking = True
+
+    def write(self, orders):
+        """Take what a bridge writes as a set; None is silence."""
+        if orders is None:
+            self.silent += CYCLE
+            return
+        self.silent, self.clear = 0.0, orders.rezero
+        for thread, *line in zip(
+            self.threads, orders.counts, orders.slope, orders.reference, strict=True
+        ):
+            thread.limits.size = min(10_000.0, orders.limit)
+            thread.aim(*line)
+
+    def cycle(self, steps=10):
+        """Let the servo thread run for a cycle, or another number of its periods."""
+        ready = self.on and self.homed
+        self.tick += 1
+        self.alive = self.silent <= HOLD
+        for axis, thread in enumerate(self.threads):
+            if not ready or self.clear:
+                thread.drop()
+            elif not self.alive:
+                thread.aim(0.0, 0.0, 0.0)
+            tracks = ready and self.enable and self.tracking
+            begin = thread.line.position
+            for step in range(steps):
+                place = begin + (self.position[axis] - begin) * (step + 1) / steps
+                thread.step(tracks, place, CYCLE / 10)
+        before = self.counts
+        self.counts = np.array([np.rint(thread.line.value) for thread in self.threads])
+        if self.clear or not ready:
+            self.register = np.zeros(3)
+        elif self.enable:
+            self.register = self.register + self.scale * (self.counts - before)
+        if ready and self.enable:
+            self.applied = self.register.copy()
+        ends = [[getattr(t.line, end) for t in self.threads] for end in ('low', 'high')]
+        return replace(
+            self._status(ready),
+            lines=self.travel.lines(np.tile(self.scale, 2) * np.ravel(ends), np.zeros(3)),
+            travel=self.travel,
+            base=self.register - self.scale * self.counts,
+            tracking=ready and self.tracking,
         )
 
 
@@ -135,9 +203,9 @@ class Rig(BridgeRig):
         return self.controller.applied
 
 
-def settled(offset=(10, -20, 30), **parameters):
+def settled(offset=(10, -20, 30), *, controller=None, **parameters):
     """Return a rig with offsets in force."""
-    rig = Rig(**parameters)
+    rig = Rig(controller, **parameters)
     rig.run(0.2)
     rig.command(offset)
     rig.run(2.0)

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from fuzzycnc_ros.adapters.linuxcnc import simulation as linuxcnc_simulation
+from fuzzycnc_ros.adapters.linuxcnc.component import install_component
 from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
 from fuzzycnc_ros.adapters.linuxcnc.simulation import LinuxcncSimulation as LinuxcncMachine
 
@@ -15,11 +16,19 @@ __all__ = ['LinuxcncMachine', 'exclusive']
 
 
 @contextlib.contextmanager
-def exclusive() -> Iterator[None]:
-    """Keep other tests of this machine away from LinuxCNC; skip where there is none to be had."""
+def exclusive(*, slopes: bool = False) -> Iterator[None]:
+    """Keep other tests of this machine away from LinuxCNC; skip where there is none to be had.
+
+    Parameters
+    ----------
+    slopes : bool
+        Whether the component `fuzzycnc_offset` is needed: it is built from the sources.
+    """
     with contextlib.ExitStack() as stack:
         try:
             stack.enter_context(linuxcnc_simulation.exclusive())
+            if slopes:
+                install_component()
         except LinuxcncError as error:
             pytest.skip(str(error))
         yield

@@ -1,0 +1,104 @@
+# Copyright The fuzzycnc authors
+# SPDX-License-Identifier: Apache-2.0
+"""`fuzzycnc linuxcnc`, with programs in the place of those of LinuxCNC."""
+
+import os
+import re
+
+import pytest
+
+from fuzzycnc_ros.adapters.linuxcnc.component import hal_text
+
+INI = """[HAL]
+HALFILE = own.hal
+[TRAJ]
+COORDINATES = X Z Z A
+[AXIS_X]
+MIN_LIMIT = 0
+MAX_LIMIT = 400
+[AXIS_Z]
+MIN_LIMIT = -200
+"""
+VERSION = '#!/bin/sh\necho 2.9.0~pre1+git2023\n'
+COMPILER = """#!/bin/sh
+case $1 in
+--print-modinc) echo {folder}/modinc ;;
+--install) : >{folder}/fuzzycnc_offset.so ;;
+esac
+"""
+
+
+@pytest.fixture
+def installation(tmp_path, monkeypatch):
+    """A LinuxCNC with a compiler of components."""
+    (tmp_path / 'modinc').write_text(f'RTLIBDIR := /nowhere\nRTLIBDIR := {tmp_path}\n')
+    programs = tmp_path / 'bin'
+    programs.mkdir()
+    texts = {'linuxcnc_var': VERSION, 'halcompile': COMPILER.format(folder=tmp_path)}
+    for name, text in texts.items():
+        (programs / name).write_text(text)
+        (programs / name).chmod(0o755)
+    monkeypatch.setenv('PATH', str(programs))
+    return programs
+
+
+@pytest.fixture
+def ini(tmp_path):
+    path = tmp_path / 'mill.ini'
+    path.write_text(INI)
+    return path
+
+
+def test_what_it_installs_passes_its_check(installation, ini, fuzzycnc):
+    done = fuzzycnc('linuxcnc', 'check', ini)
+    assert done.code == 1
+    assert '! component: fuzzycnc_offset is not installed' in done.out
+    done = fuzzycnc('linuxcnc', 'install', ini)
+    assert done.code == 0, done
+    assert ini.read_text() == INI
+    lines = re.findall(r'^  (\[\S+\])(.*)$', done.out, re.M)
+    assert ('[AXIS_Z]', 'OFFSET_AV_RATIO = 0.05') in lines
+    assert not any('AXIS_Y' in section for section, _ in lines)
+    text = INI + '\n'.join(f'{section}\n{line}' for section, line in lines)
+    ini.write_text(text + '\n[AXIS_Z]\nMAX_LIMIT = 1\n')
+    done = fuzzycnc('linuxcnc', 'check', ini)
+    assert done.code == 0, done.out
+    assert 'travel Z: -200 to 1' in done.out
+
+
+def test_what_lacks_is_named(installation, ini, fuzzycnc, refused, tmp_path):
+    fuzzycnc('linuxcnc', 'install', ini)
+    ini.write_text(INI + '[HAL]\nHALFILE = fuzzycnc.hal\nHALFILE = fuzzycnc_offset.hal\n')
+    os.utime(tmp_path / 'fuzzycnc_offset.so', (0, 0))
+    (tmp_path / 'fuzzycnc_offset.hal').write_text('# another one\n')
+    (installation / 'linuxcnc_var').write_text(VERSION.replace('2.9.0', '2.8.4'))
+    done = fuzzycnc('linuxcnc', 'check', ini)
+    assert done.code == 1
+    for text in (
+        '! LinuxCNC: expected LinuxCNC 2.9 or newer but found 2.8.4',
+        'is older than its source',
+        'is not that for X, Z',
+        '! INI file: loads fuzzycnc.hal and fuzzycnc_offset.hal: remove the first',
+        '! INI file: lacks [FUZZYCNC]SCALE',
+        '! travel Z: no MAX_LIMIT in [AXIS_Z]',
+    ):
+        assert text in done.out
+    refused('linuxcnc', 'install', ini, naming=['fuzzycnc_offset.hal', 'remove it'])
+    assert (tmp_path / 'fuzzycnc_offset.hal').read_text() == '# another one\n'
+
+
+def test_without_a_compiler_the_way_without_slopes_is_named(installation, ini, refused):
+    (installation / 'halcompile').unlink()
+    refused('linuxcnc', 'install', ini, naming=['linuxcnc-uspace-dev', 'without it fuzzycnc.hal'])
+    assert not ini.with_name('fuzzycnc_offset.hal').exists()
+
+
+def test_shipped_file_is_that_of_a_mill(root):
+    assert hal_text('XYZ') == (root / 'linuxcnc' / 'fuzzycnc_offset.hal').read_text()
+
+
+def test_every_axis_has_its_number():
+    text = hal_text('ZX')
+    assert 'personality=2' in text
+    assert 'net fuzzycnc-position-z axis.z.pos-cmd => fuzzycnc-offset.position-0' in text
+    assert 'setp fuzzycnc-offset.max-1 [AXIS_X]MAX_LIMIT' in text
