@@ -273,8 +273,8 @@ class Environment:
             stale.unlink()
         shutil.rmtree(ROOT / 'build' / 'lib', ignore_errors=True)  # modules that are no more
         for source in (ROOT / 'msg_defs', ROOT):
-            options = ('--wheel', '--no-build-isolation', '--out-dir', folder)
-            self.uv(f'the wheel of {source.name}', 'build', *options, source)
+            options = ('--wheel', '--no-build-isolation', '--no-create-gitignore', '--out-dir')
+            self.uv(f'the wheel of {source.name}', 'build', *options, folder, source)
         for wheel in sorted(folder.glob('fuzzycnc_*.whl')):
             print(wheel.relative_to(ROOT))
 

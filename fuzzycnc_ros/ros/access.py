@@ -137,6 +137,7 @@ def access_of(node: str) -> Access:
             reply=PARAMETERS,
             request=(
                 'set_thermal_reference',
+                'forget_thermal_posterior',
                 *(f'{name}/{call}' for name in managed for call in ('change_state', 'get_state')),
             ),
         )

@@ -24,11 +24,11 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.duration import Duration
 from rclpy.node import Node
 
-from fuzzycnc_msgs.srv import SetThermalReference
+from fuzzycnc_msgs.srv import ForgetThermalPosterior, SetThermalReference
 from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.bags.recording_loss import loss
 from fuzzycnc_ros.components.dashboard.machine_view import MachineView
-from fuzzycnc_ros.core.names import file_word
+from fuzzycnc_ros.core.names import file_word, visible
 from fuzzycnc_ros.ros.bring_up import RECORDER_STOP
 from fuzzycnc_ros.ros.lifecycle import REACHED
 from fuzzycnc_ros.ros.presence import GraphError
@@ -38,6 +38,7 @@ from fuzzycnc_ros.ros.recording import is_recorded, recorder_command
 from fuzzycnc_ros.ros.topics import RCLPY, create_publisher
 from fuzzycnc_ros.runtime.component import HISTORY, STREAM
 from fuzzycnc_ros.runtime.convert import encode
+from fuzzycnc_ros.runtime.enums import ForgetMode
 from fuzzycnc_ros.runtime.host import FINALIZED, WAS_FINALIZED, NodeEvent
 from fuzzycnc_ros.runtime.provenance import machine_event
 
@@ -66,6 +67,8 @@ ACTIVATED = ('compensator',)
 """Nodes that the page may activate: others move axes."""
 NAME_MAX = 80
 """Longest name of a person [characters]."""
+WHY_MAX = 200
+"""Longest reason [characters]."""
 LENGTH_MAX = 1e-2
 """Largest displacement that a probe may tell [m]."""
 _AXES = re.compile('[XYZABCUVW]')
@@ -152,6 +155,7 @@ class Actions:
             'activate': self._activate,
             'deactivate': self._deactivate,
             'probe': self._probe,
+            'forget': self._forget,
             'record': self._record,
         }
 
@@ -330,6 +334,23 @@ class Actions:
                 f'{node} refuses to {label}; its alarms and its log say why; mend that, then '
                 'try again'
             )
+
+    async def _forget(self, view: MachineView, body: Mapping[str, Any], by: str) -> str:
+        why, mode = body.get('why'), body.get('mode')
+        if not isinstance(why, str) or not why.strip() or len(why) > WHY_MAX:
+            raise GraphError(f'why: expected a reason of at most {WHY_MAX} characters')
+        known = {item.name.lower(): item for item in ForgetMode}
+        if not isinstance(mode, str) or mode not in known:
+            raise GraphError(f'mode: expected one of {", ".join(known)} but found {mode!r}')
+        request = ForgetThermalPosterior.Request(
+            mode=int(known[mode]), why=visible(why), by=visible(by)
+        )
+        # Not asked twice: to go back before a probe twice would not do.
+        name = f'/{view.machine}/forget_thermal_posterior'
+        answer = await self._call(ForgetThermalPosterior, name, request)
+        if not answer.success:
+            raise GraphError(str(answer.message))
+        return str(answer.message)
 
     async def _probe(self, view: MachineView, body: Mapping[str, Any], by: str) -> str:
         machine = view.machine

@@ -31,7 +31,7 @@ from fuzzycnc_ros.web.live import Frames
 
 STATIC = Path(__file__).with_name('static')
 VENDOR = Path(__file__).with_name('vendor')
-ACTIONS = ('reference', 'activate', 'deactivate', 'probe', 'record')
+ACTIONS = ('reference', 'activate', 'deactivate', 'probe', 'forget', 'record')
 """All that can be done from the page: none of them moves an axis or raises a limit."""
 BODY_MAX = 4096
 """Largest body of a request [bytes]."""

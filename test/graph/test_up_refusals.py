@@ -89,9 +89,14 @@ def test_parameter_files(refused_at_once, text, naming):
     refused_at_once('--nodes', 'compensator', '--params', 'p', naming=naming)
 
 
-def test_a_parameter_of_earlier_versions_names_its_successor(refused_at_once):
-    write('p/some.yaml', '/**/thermal_predictor:\n  ros__parameters:\n    probing: kalman\n')
-    naming = ['parameter probing: earlier versions had it; delete it', 'learn: true']
+@pytest.mark.parametrize(
+    ('line', 'instead'),
+    [('probing: kalman', 'learn: true'), ('domain_margin: 3.0', 'from its training a model')],
+)
+def test_a_parameter_of_earlier_versions_names_its_successor(refused_at_once, line, instead):
+    write('p/some.yaml', f'/**/thermal_predictor:\n  ros__parameters:\n    {line}\n')
+    name = line.split(':')[0]
+    naming = [f'parameter {name}: earlier versions had it; delete it', instead]
     refused_at_once('--nodes', 'thermal_predictor', '--params', 'p', naming=naming)
 
 

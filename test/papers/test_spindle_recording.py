@@ -11,8 +11,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.thermal.candidate import STANDARD
+from fuzzycnc_ros.core.thermal.domain import DOMAIN_MARGIN, SPEED_MARGIN
 from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
 from fuzzycnc_ros.core.thermal.fit.comparison import Comparison, judge, splits
 from fuzzycnc_ros.core.thermal.run import ThermalRun
@@ -170,10 +170,9 @@ def test_the_classical_grey_model_is_refused_on_a_real_machine(model):
 @pytest.mark.paper
 def test_no_sample_at_a_speed_never_seen_is_refused(model, recording):
     """It is 4/3 of the fastest trained; half as fast again would be refused, whatever warms up."""
-    margins = ThermalPredictorConfig()
     judged = recording.spindle_speed[TRAINING_ROWS:]
     ratio = judged.max() / model.speed_max
     assert ratio == pytest.approx(4 / 3)
-    assert ratio < margins.speed_margin < 1.5
+    assert ratio < SPEED_MARGIN < 1.5
     rises = recording.rise()[TRAINING_ROWS:, recording.columns(model.inputs)]
-    assert (model.distance(rises) <= margins.domain_margin).all()
+    assert (model.distance(rises) <= DOMAIN_MARGIN).all()

@@ -207,6 +207,7 @@ MILL = SimpleNamespace(machine='mill', nodes=('compensator',), living_nodes=(), 
         ('activate', {}),
         ('deactivate', {}),
         ('probe', {'values': {'Y': 1e-6}}),
+        ('forget', {'mode': 'undo', 'why': 'chip'}),
         ('record', {'start': True}),
     ],
 )
@@ -224,6 +225,37 @@ def test_an_action_ends_though_its_node_hangs(record, monkeypatch, action, body,
         with pytest.raises(GraphError, match='dashboard itself did not get to it'):
             asyncio.run(actions.act(view, action, body))
     assert all(job.done() for job in hung.asked), 'what was given up would still be done'
+
+
+@pytest.mark.parametrize(
+    ('body', 'naming'),
+    [
+        ({'mode': 'undo'}, 'why: expected a reason'),
+        ({'mode': 'undo', 'why': ' '}, 'why: expected a reason'),
+        ({'mode': 'undo', 'why': 'x' * 201}, 'why: expected a reason'),
+        ({'mode': 'undo', 'why': 5}, 'why: expected a reason'),
+        ({'why': 'chip'}, 'mode: expected one of widen, undo, all but found None'),
+        ({'mode': ['undo'], 'why': 'chip'}, 'mode: expected one of'),
+    ],
+)
+def test_forgetting_needs_a_mode_and_a_reason(record, body, naming):
+    with pytest.raises(GraphError, match=naming):
+        asyncio.run(record()._forget(MILL, body, 'anna'))
+
+
+def test_what_is_forgotten_is_asked_of_the_predictor_once(record, monkeypatch):
+    actions, asked = record(), []
+
+    async def call(_, name, request, *, times=1):
+        asked.append((name, request.mode, request.why, request.by, times))
+        return SimpleNamespace(success=len(asked) < 2, message='said')
+
+    monkeypatch.setattr(actions, '_call', call)
+    body = {'mode': 'all', 'why': 'sign\x1b[2J'}
+    assert asyncio.run(actions._forget(MILL, body, 'anna')) == 'said'
+    assert asked == [('/mill/forget_thermal_posterior', 2, 'sign\\x1b[2J', 'anna', 1)]
+    with pytest.raises(GraphError, match='said'):
+        asyncio.run(actions._forget(MILL, body, 'anna'))
 
 
 def test_a_recorder_that_is_not_started_in_time_is_named(record, monkeypatch):

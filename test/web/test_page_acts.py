@@ -5,6 +5,15 @@
 import pytest
 from fake_dashboard import view
 
+LEARNING = {
+    'due': False,
+    'reason': '',
+    'due_in': None,
+    'age': 600.0,
+    'changes': [{'channel': 'Y', 'change': -1.54e-6}],
+    'cycle': None,
+}
+
 
 def begin(page, act):
     """Open the question about an act; return its text."""
@@ -107,7 +116,7 @@ def test_a_reference_with_offsets_in_force_is_asked_twice(page, fake):
     # In one look: the first dialog may go between two.
     seen = "return document.querySelector('dialog.act[open]')?.textContent ?? ''"
     page.until(lambda: says in page.run(seen), 'the second question')
-    assert 'mill' in page.one('dialog h2').text
+    assert 'mill' in page.one('dialog[open] h2').text
     assert [body['force'] for _, _, body, _ in fake.acted] == [False]
     assert confirm(page) == '✓ reference is done'
     assert [body['force'] for _, _, body, _ in fake.acted] == [False, True]
@@ -137,6 +146,22 @@ def test_a_probe(page, fake):
     assert (machine, action) == ('mill', 'probe')
     assert body.pop('values') == {'Y': pytest.approx(-3.25e-6)}
     assert body == {'deviation': None, 'by': 'Ada'}
+
+
+def test_forgetting_needs_a_mode_and_a_reason(page, fake):
+    assert page.one('[data-act="forget"]').get_attribute('disabled'), 'nothing is learnt'
+    fake.show(view(probing=LEARNING))
+    assert 'offsets do not step' in begin(page, 'forget')
+    assert 'Choose what is forgotten' in confirm(page)
+    page.one('[data-mode="undo"]').click()
+    page.one('dialog button[type="submit"]').click()
+    page.until(lambda: 'A reason is needed' in page.say(), 'a refusal')
+    page.one('[data-why]').send_keys(' chip under the probe ')
+    assert fake.acted == []
+    page.one('dialog button[type="submit"]').click()
+    page.until(lambda: page.say() == '✓ forget is done', 'the answer')
+    body = {'mode': 'undo', 'why': 'chip under the probe', 'by': 'Ada'}
+    assert fake.acted == [('mill', 'forget', body, '')]
 
 
 def test_a_token_is_asked_for_once(page, fake):

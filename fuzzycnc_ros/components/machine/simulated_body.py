@@ -133,7 +133,7 @@ class SimulatedBody(Component[SimulatedBodyConfig]):
             stamp - self._start,
             self.frame('machine'),
             self.frame('workpiece'),
-            self._offset.copy(),
+            lambda _: self._offset.copy(),
         )
 
     def health(self) -> list[Health]:

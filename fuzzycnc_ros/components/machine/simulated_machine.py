@@ -225,7 +225,7 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
             machine, since = self.frame('machine'), stamp - self._start
             yield self._warmth.applied(stamp, machine, self.sources.refusal('compensation'))
             measured = self._config.displacement_compensated
-            offset = self._warmth.offsets.applied if measured else None
+            offset = self._warmth.offsets.at if measured else None
             yield from self._warmth.readings(stamp, since, machine, workpiece, offset)
         yield from moved
         yield from self._stitching.tick(moved, self._motion, workpiece)
@@ -291,9 +291,12 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
         """Move temperatures and offsets on by a tick period."""
         period = self._config.tick_period
         allowed = self._mode is MachineMode.ON
-        speed = self._duty.spindle_speed(self._ticks * period) if allowed else 0.0
+        begin = self._ticks * period
+        speed = self._duty.spindle_speed(begin) if allowed else 0.0
+        strokes, since = self._duty.motion(begin) if allowed else ({}, 0.0)
+        self._warmth.move(period, strokes, since)
         self._warmth.advance(period, speed)
-        self._warmth.offsets.advance(stamp)
+        self._warmth.follow(stamp, self._motion.axes, self._motion.reference)
         self._ticks += 1
 
     def _go_on(self, stamp: int, slow: bool) -> Iterator[Emission]:
@@ -339,7 +342,7 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
             return self._mode
         if self._motion.tripped or self.sources.refusal('axis_command'):
             return MachineMode.FAULT
-        running = self._warmth.spindle_speed or self._motion.moving
+        running = self._warmth.working or self._motion.moving
         return MachineMode.RUNNING if running else MachineMode.ON
 
     def _permit(self) -> None:
@@ -362,8 +365,7 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
             and not self.sources.refusal('compensation'),
             cold_since=self._start,
             spindle_speed=self._warmth.spindle_speed,
-            axis=self._motion.axes,
-            position=self._motion.reference,
+            **self._warmth.where(self._motion.axes, self._motion.reference),
         )
 
     def _duty_ticks(self, duty: str) -> int:

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from fuzzycnc_ros.core.config import Config, param, same_param
 from fuzzycnc_ros.core.inputs.offset_input import OffsetInputConfig
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
-from fuzzycnc_ros.simulation.thermal.duties import DUTIES, Duty, DutyBlock
+from fuzzycnc_ros.simulation.thermal.duties import AXIS_DUTIES, DUTIES, Duty, DutyBlock
 from fuzzycnc_ros.simulation.thermal.mill import DISPLACEMENT_NOISE, RPM
 
 WHOLE_SHIFT = Duty(
@@ -33,7 +33,9 @@ WHOLE_SHIFT = Duty(
 )
 """Eight hours from a cold machine: work, pauses, and two hours in which it cools down."""
 
-MACHINE_DUTIES: Mapping[str, Duty] = MappingProxyType({**DUTIES, WHOLE_SHIFT.name: WHOLE_SHIFT})
+MACHINE_DUTIES: Mapping[str, Duty] = MappingProxyType(
+    {**DUTIES, WHOLE_SHIFT.name: WHOLE_SHIFT, **AXIS_DUTIES}
+)
 """All duties by name."""
 
 DAY_START = 6 * 3600.0
@@ -51,7 +53,7 @@ class SimulatedMachineConfig(Config):
         ('T2',),
         '-',
         'Duties to run, one a day, each from cold, without the nights between them: D0, D0b, T1, '
-        'T2, T3, shift',
+        'T2, T3, shift; with axis motion axis_Y, axis_A, axis_B, axis_work, axis_short',
     )
     paths: tuple[str, ...] = param(
         (), '-', 'Paths to load after the duties, one by one: infinity, trident, butterfly'
@@ -125,6 +127,31 @@ class SimulatedMachineConfig(Config):
     )
     sensor_faults: tuple[str, ...] = param(
         (), '-', 'Sensor faults as sensor:kind:start[:value], start in s after a duty began'
+    )
+    displacement_positions: tuple[float, ...] = param(
+        (0.0,),
+        'm',
+        'Positions of the machine at which axes with a ball screw are measured',
+        low=-100.0,
+        high=100.0,
+    )
+    screws: tuple[str, ...] = param(
+        (),
+        '-',
+        'Axes whose ball screw warms up by their motion, as Y:fixed_free; mountings: fixed_free, '
+        'fixed_fixed, linear_scale',
+    )
+    screw_data: tuple[str, ...] = param(
+        (),
+        '-',
+        'What differs from the defaults of their screws, as Y:length:0.9; fields of '
+        'BallScrewConfig',
+    )
+    screw_faults: tuple[str, ...] = param(
+        (),
+        '-',
+        'Faults of their screws as axis:fault:start, start in s after a duty began; faults: '
+        'nut_sensor_off, stretch_lost',
     )
     offset_max: float = param(
         60e-6, 'm', "The machine's own limit of an offset", low=1e-6, high=1e-3

@@ -14,7 +14,7 @@ the last one that was.
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from typing import Any, NamedTuple
 
@@ -364,19 +364,23 @@ class Heard:
 class PredictorStream:
     """All that the models of a predictor rest on, held once: zero, checkpoint, samples, probes.
 
+    Its attributes are read by others, and set by its own methods alone.
+
     Parameters
     ----------
     config : ThermalPredictorConfig
-        Parameters of the predictor; `config` may be set anew at any time.
+        Parameters of the predictor.
 
     Attributes
     ----------
+    config : ThermalPredictorConfig
+        Parameters, as they are now.
     reference : ThermalReference or None
         What rises are meant against.
     checkpoint : PredictorState or None
-        State of an earlier life.
+        Newest state, of an earlier life at first.
     memory : ThermalPosterior or None
-        What an earlier life has learnt of the machine.
+        What was learnt of the machine, by an earlier life at first.
     selection : SensorSelection or None
         Newest selection; it names substitutes.
     awaited : str
@@ -397,6 +401,48 @@ class PredictorStream:
         self.speeds = SpeedSources()
         self.probes = ProbeSource(config) if config.learn else None
         self._heard = KeptSamples[Heard](lambda heard: heard.sample)
+        self._former: ThermalReference | None = None
+        """What the checkpoint of before a step of the clock is meant against."""
+
+    def reconfigure(self, config: ThermalPredictorConfig) -> None:
+        """Take live parameters."""
+        self.config = config
+
+    def select(self, selection: SensorSelection) -> None:
+        """Take another selection."""
+        self.selection = selection
+
+    def keep(self, record: PredictorState | ThermalPosterior) -> None:
+        """Keep the newest state, or what was learnt."""
+        if isinstance(record, PredictorState):
+            self.checkpoint = record
+        else:
+            self.memory = record
+
+    def begin(self, reference: ThermalReference) -> bool:
+        """Take a thermal reference; return whether it is a new one.
+
+        One that was told before a step of the clock comes anew with another stamp: what is kept
+        goes on with it.
+        """
+        known, former = self.reference, self._former
+        if known is not None and known.stamp == reference.stamp:
+            return False
+        if former is not None and _same(former, reference):
+            for kept in (self.checkpoint, self.memory):
+                if kept is not None and kept.reference_stamp == former.stamp:
+                    self.keep(replace(kept, reference_stamp=reference.stamp))
+        self.reference, self._former = reference, None
+        return True
+
+    def renewed(self, step: int) -> 'PredictorStream':
+        """Return a stream after a step of the clock [ns]: all but reference, samples, probes."""
+        fresh = PredictorStream(self.config)
+        fresh.selection, fresh._former = self.selection, self.reference
+        for kept in (self.checkpoint, self.memory):
+            if kept is not None:
+                fresh.keep(replace(kept, stamp=max(0, kept.stamp + step)))
+        return fresh
 
     def hear(self, sample: Temperatures) -> Heard:
         """Return a sample with what else is known of its time; keep it as long as it matters.
@@ -462,3 +508,10 @@ class PredictorStream:
     def newest(self) -> Heard | None:
         """The newest sample."""
         return self._heard.newest
+
+
+def _same(one: ThermalReference, other: ThermalReference) -> bool:
+    """Whether two references are one, told with stamps of two series."""
+    return one.sensor == other.sensor and np.array_equal(
+        one.temperature, other.temperature, equal_nan=True
+    )

@@ -18,6 +18,7 @@ from fuzzycnc_ros.components.thermal.sensor_substitution import RiseSource
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.core.thermal.blank import LABEL
+from fuzzycnc_ros.core.thermal.domain import DOMAIN_MARGIN, SPEED_MARGIN
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.sensor_watch import SensorWatch
 from fuzzycnc_ros.runtime.component import Health, Level
@@ -412,7 +413,7 @@ class ModelHistory:
     @property
     def _speed_limit(self) -> float:
         """Largest spindle speed that is in domain [rad/s]."""
-        return self.config.speed_margin * self.model.speed_max
+        return SPEED_MARGIN * self.model.speed_max
 
     def _outside(self, spindle_speed: float) -> str:
         """Say why the newest sample is out of domain, '' if it is not."""
@@ -423,16 +424,16 @@ class ModelHistory:
                 'rises are meant against a warm reference; set it anew while the machine is cold, '
                 'or accept it with warm_reference'
             )
-        if not distance <= self.config.domain_margin:
+        if not distance <= DOMAIN_MARGIN:
             return (
-                f'temperatures are {distance:.1f} times as far away as the training data reach; '
-                f'domain_margin = {self.config.domain_margin:g}'
+                f'temperatures are {distance:.1f} times as far away as the training data reach, '
+                f'where {DOMAIN_MARGIN:g} times is the most; train with such temperatures'
             )
         if spindle_speed > self._speed_limit:
             return (
-                f'spindle speed {spindle_speed:.4g} rad/s is beyond speed_margin = '
-                f'{self.config.speed_margin:g} times the largest trained, '
-                f'{self.model.speed_max:.4g} rad/s; train with it, or see whether it is true'
+                f'spindle speed {spindle_speed:.4g} rad/s is beyond {SPEED_MARGIN:g} times the '
+                f'largest trained, {self.model.speed_max:.4g} rad/s; train with it, or see '
+                'whether it is true'
             )
         return ''
 

@@ -277,9 +277,6 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
         self._stream = PredictorStream(self._config)
         self._named = False
         """Whether a model was asked for; else all of the error is learnt."""
-        self._told: PredictorState | None = None
-        self._former: ThermalReference | None = None
-        """What the checkpoint of before a step of the clock was meant against."""
 
     @property
     def model(self) -> ThermalModel | None:
@@ -294,7 +291,7 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
     def reconfigure(self, config: ThermalPredictorConfig) -> None:
         """Take live parameters; they act from the next sample on."""
         super().reconfigure(config)
-        self._stream.config = self._config
+        self._stream.reconfigure(self._config)
 
     def use_model(self, text: str) -> str:
         """Take a model from the text of its file; return how it comes into use, in words.
@@ -350,7 +347,8 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
 
     def _learnt(self, posterior: ThermalPosterior) -> Iterator[Emission]:
         """Keep what was learnt, and tell it; what others need of it is small, and comes first."""
-        before, self._stream.memory = self._stream.memory, posterior
+        before = self._stream.memory
+        self._stream.keep(posterior)
         if before is None or not np.array_equal(before.evidence, posterior.evidence):
             evidence = ProbeEvidence(
                 stamp=posterior.stamp,
@@ -364,14 +362,8 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
 
     def renewed(self, step: int) -> 'tuple[ThermalPredictor, list[Emission]]':
         """Begin with the same model; the history goes on once the same reference comes anew."""
-        fresh, stream = self._afresh(), self._stream
-        fresh._stream.selection, fresh._stream.checkpoint = stream.selection, stream.checkpoint
-        if self._told is not None and stream.reference is not None:
-            fresh._former = stream.reference
-            fresh._stream.checkpoint = replace(self._told, stamp=max(0, self._told.stamp + step))
-        if stream.memory is not None:
-            learnt = replace(stream.memory, stamp=max(0, stream.memory.stamp + step))
-            fresh._stream.memory = learnt
+        fresh = self._afresh()
+        fresh._stream = self._stream.renewed(step)
         if self.model_text:
             fresh.use_model(self.model_text)
         return fresh, []
@@ -381,31 +373,21 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
 
         Of another machine's memory all counts but that its probes are right.
         """
-        if isinstance(record, PredictorState):
-            self._stream.checkpoint = record
-        if isinstance(record, ThermalPosterior):
-            if record.frame_id != self.frame('machine'):
-                record = replace(record, evidence=np.zeros_like(record.evidence))
-            self._stream.memory = record
+        if isinstance(record, ThermalPosterior) and record.frame_id != self.frame('machine'):
+            record = replace(record, evidence=np.zeros_like(record.evidence))
+        if isinstance(record, PredictorState | ThermalPosterior):
+            self._stream.keep(record)
 
     def on_sensor_selection(self, selection: SensorSelection) -> None:
         """Take the substitutes of a new selection."""
-        self._stream.selection = selection
+        self._stream.select(selection)
         for history in self._swap.models:
             history.select()
 
     def on_thermal_reference(self, reference: ThermalReference) -> None:
         """Start a new history at a new reference."""
-        stream, former = self._stream, self._former
-        known, checkpoint = stream.reference, stream.checkpoint
-        if known is not None and known.stamp == reference.stamp:
-            return
-        if former is not None and checkpoint is not None and _same(former, reference):
-            stream.checkpoint = replace(checkpoint, reference_stamp=reference.stamp)
-            if stream.memory is not None:
-                stream.memory = replace(stream.memory, reference_stamp=reference.stamp)
-        stream.reference, self._former = reference, None
-        self._swap.begin()
+        if self._stream.begin(reference):
+            self._swap.begin()
 
     def on_machine_state(self, state: MachineState) -> None:
         """Note the spindle speed that the controller reports."""
@@ -436,8 +418,9 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
         yield Emission('thermal_error', self._error(sample.stamp, found))
         if found is None:
             return
-        self._told = self._swap.state(sample.stamp, self.frame('machine'))
-        yield Emission('predictor_state', self._told)
+        state = self._swap.state(sample.stamp, self.frame('machine'))
+        self._stream.keep(state)
+        yield Emission('predictor_state', state)
         if self._swap.in_use is not None:
             learnt = self._swap.in_use.learnt(sample.stamp, self.frame('machine'))
             if learnt is not None:
@@ -513,11 +496,4 @@ def refusal_of(model: ThermalModel) -> str:
         f'train with the model auto, which leaves {", ".join(model.losing)} uncompensated '
         '(`fuzzycnc train --model auto`), or use it all the same with the parameter force '
         '(`fuzzycnc up --force-model`)'
-    )
-
-
-def _same(one: ThermalReference, other: ThermalReference) -> bool:
-    """Whether two references are one, told with stamps of two series."""
-    return one.sensor == other.sensor and np.array_equal(
-        one.temperature, other.temperature, equal_nan=True
     )

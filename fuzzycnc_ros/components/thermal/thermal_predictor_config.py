@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from fuzzycnc_ros.core.config import Config, param
+from fuzzycnc_ros.core.thermal.domain import DOMAIN_MARGIN, SPEED_MARGIN
 from fuzzycnc_ros.core.thermal.run import GAP_MAX, SETTLE_TIME
 from fuzzycnc_ros.core.thermal.sensor_watch import PERSISTENCE, TOLERANCE, WATCH_LIMIT
 
@@ -15,9 +16,19 @@ class ThermalPredictorConfig(Config):
     """Parameters of `thermal_predictor`."""
 
     GONE = MappingProxyType(
-        {'probing': 'none', 'probe_jump_max': 10e-6, 'drift_limit': 4.0, 'adaptation': 0.0}
+        {
+            'probing': 'none',
+            'probe_jump_max': 10e-6,
+            'drift_limit': 4.0,
+            'adaptation': 0.0,
+            'domain_margin': DOMAIN_MARGIN,
+            'speed_margin': SPEED_MARGIN,
+        }
     )
-    INSTEAD = '; what probes correct is learnt now, with learn: true'
+    INSTEAD = (
+        '; what probes correct is learnt now, with learn: true, and how far from its training a '
+        'model may be used is fixed'
+    )
 
     model: str = param(
         '',
@@ -60,24 +71,6 @@ class ThermalPredictorConfig(Config):
         'Time in which a new model takes over from the one in use',
         low=60.0,
         high=3600.0,
-        live=True,
-    )
-    domain_margin: float = param(
-        3.0,
-        '-',
-        'Distance of the temperatures from the training data that still is in domain; 1 is the '
-        'border that holds 95 % of what was held out in training',
-        low=1.0,
-        high=1000.0,
-        live=True,
-    )
-    speed_margin: float = param(
-        1.4,
-        '-',
-        'Spindle speed that still is in domain, over the largest of the training; heat of what '
-        'is faster is not counted',
-        low=1.0,
-        high=1000.0,
         live=True,
     )
     mate_limit: float = param(

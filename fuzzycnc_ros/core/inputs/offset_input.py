@@ -161,6 +161,31 @@ class OffsetInput:
         """Offsets in force, shape (axes,) [m]."""
         return self._applied.copy()
 
+    def at(self, position: ArrayLike) -> NDArray[np.float64]:
+        """Return the offsets that stand at other positions of the axes.
+
+        Parameters
+        ----------
+        position : array_like, shape (axes,)
+            Positions [m]; NaN: where the axis is.
+
+        Returns
+        -------
+        ndarray, shape (axes,)
+            Offsets in force once the axes have gone there [m].
+        """
+        most = np.maximum(self._config.offset_max, np.abs(self._applied))
+        moved = np.nan_to_num(np.asarray(position, dtype=np.float64) - self._position)
+        return np.asarray(np.clip(self._applied + self.slope * moved, -most, most))
+
+    @property
+    def slope(self) -> NDArray[np.float64]:
+        """Slopes along which offsets follow the axes, shape (axes,) [-]."""
+        command = self._before or self._newest
+        if command is None or not self._in_force:
+            return np.zeros(len(self._axes))
+        return command.slope.copy()
+
     @property
     def at_limit(self) -> NDArray[np.bool_]:
         """Whether the size limit cuts what is asked for, shape (axes,)."""

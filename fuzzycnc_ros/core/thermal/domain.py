@@ -24,6 +24,10 @@ from fuzzycnc_ros.core.thermal.moments import Fold
 DOMAIN_QUANTILE = 0.95
 """Share of the samples of unseen training runs that lie in the domain."""
 
+DOMAIN_MARGIN, SPEED_MARGIN = 3.0, 1.4
+"""Distance from the training, and spindle speed over the largest of it, up to which a model may be
+used on a machine [-]; 1 is the border of what it was trained on."""
+
 EXPLAINED = 0.99
 """Share of the variance of the training rises that the kept directions explain."""
 

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from math import isfinite
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.simulation.thermal.ball_screw import Stroke
 from fuzzycnc_ros.simulation.thermal.mill import (
     DISPLACEMENT_NOISE,
     MILL_AXES,
@@ -29,10 +30,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DutyBlock:
-    """A stretch of constant spindle speed: speed [rad/s] and duration [s]."""
+    """A stretch of constant spindle speed and of axes that go back and forth.
+
+    Parameters
+    ----------
+    spindle_speed : float
+        Spindle speed [rad/s].
+    duration : float
+        Length [s].
+    strokes : tuple of (str, Stroke)
+        What each axis does meanwhile; one that is left out stands.
+    """
 
     spindle_speed: float
     duration: float
+    strokes: tuple[tuple[str, Stroke], ...] = ()
 
     def __post_init__(self) -> None:
         if not isfinite(self.spindle_speed):
@@ -74,13 +86,22 @@ class Duty:
 
     def spindle_speed(self, time: float) -> float:
         """Return the spindle speed in force from `time` [s] on [rad/s]; 0 outside the duty."""
-        if time >= 0.0:
-            end = 0.0
-            for block in self.blocks:
-                end += block.duration
-                if time < end:
-                    return block.spindle_speed
-        return 0.0
+        block, _ = self._block(time)
+        return 0.0 if block is None else block.spindle_speed
+
+    def motion(self, time: float) -> tuple[dict[str, Stroke], float]:
+        """Return what the axes do from `time` [s] on, and since when they have [s]."""
+        block, since = self._block(time)
+        return ({} if block is None else dict(block.strokes)), since
+
+    def _block(self, time: float) -> tuple[DutyBlock | None, float]:
+        """Return the block in force from `time` [s] on and for how long it has been [s]."""
+        begin = 0.0
+        for block in self.blocks:
+            if begin <= time < begin + block.duration:
+                return block, time - begin
+            begin += block.duration
+        return None, 0.0
 
     def mill(self, *, seed: int = 0, faults: Sequence[SensorFault] = ()) -> ThermalMill:
         """Return a mill in this duty's surroundings, at its start."""
@@ -114,6 +135,74 @@ DUTIES = {
     )
 }
 """The five duties by name, in the order in which their noise is drawn."""
+
+_LONG, _MIDDLE, _SHORT = (-0.45, -0.05), (-0.3, -0.1), (-0.45, -0.35)
+
+
+def _moving(
+    name: str,
+    blocks: Iterable[tuple[float, float, Mapping[str, tuple[tuple[float, float], float]]]],
+    ambient: tuple[float, float, float],
+) -> Duty:
+    """Build a duty of rpm, minutes, and per axis the ends of its stroke [m] and speed [m/s]."""
+    return Duty(
+        name,
+        tuple(
+            DutyBlock(
+                rpm * RPM,
+                60.0 * minutes,
+                tuple((axis, Stroke(*ends, speed)) for axis, (ends, speed) in strokes.items()),
+            )
+            for rpm, minutes, strokes in blocks
+        ),
+        *ambient,
+    )
+
+
+AXIS_DUTIES = {
+    duty.name: duty
+    for duty in (
+        _moving('axis_Y', [(0, 120, {'Y': (_LONG, 0.25)}), (0, 60, {})], (20, 0, 0)),
+        _moving(
+            'axis_A',
+            [
+                (1000, 70, {'Y': (_LONG, 0.2), 'Z': (_MIDDLE, 0.05)}),
+                (0, 50, {}),
+                (2000, 60, {'Y': (_LONG, 0.08), 'Z': (_LONG, 0.2)}),
+                (1500, 60, {'Y': (_MIDDLE, 0.2), 'Z': (_LONG, 0.1)}),
+            ],
+            (20, 2, 0),
+        ),
+        _moving(
+            'axis_B',
+            [
+                (0, 60, {'Y': (_LONG, 0.15), 'Z': (_LONG, 0.2)}),
+                (2000, 60, {'Y': (_MIDDLE, 0.06)}),
+                (500, 40, {}),
+                (1000, 80, {'Y': (_LONG, 0.25), 'Z': (_MIDDLE, 0.15)}),
+            ],
+            (24, 2, 6),
+        ),
+        _moving(
+            'axis_work',
+            [
+                (1500, 45, {'Y': (_LONG, 0.24), 'Z': (_LONG, 0.15)}),
+                (1500, 60, {'Y': (_LONG, 0.12), 'Z': (_MIDDLE, 0.08)}),
+                (0, 30, {}),
+                (2000, 75, {'Y': (_LONG, 0.22), 'Z': (_LONG, 0.2)}),
+                (500, 30, {'Y': (_MIDDLE, 0.1), 'Z': (_MIDDLE, 0.05)}),
+            ],
+            (22, 2, 3),
+        ),
+        _moving(
+            'axis_short',
+            [(1000, 150, {'Y': (_SHORT, 0.25), 'Z': (_SHORT, 0.1)}), (0, 30, {})],
+            (21, 1, 4),
+        ),
+    )
+}
+"""Duties with axis motion by name: a warm-up of Y alone, two to calibrate with, a working day, and
+one that works a short stroke again and again."""
 
 
 @lru_cache(maxsize=16)

@@ -184,6 +184,36 @@ function probe(context) {
   });
 }
 
+const FORGOTTEN = [
+  ['undo', 'The last probe was false: back to what was known before it'],
+  ['widen', 'The machine has changed: what was learnt counts for less'],
+  ['all', 'Begin from nothing, as on the first day'],
+];
+
+function forget(context) {
+  const {machine, needsToken} = context;
+  const modes = FORGOTTEN.map(([mode, text]) => make('label', {class: 'choice'},
+    make('input', {type: 'radio', name: 'mode', value: mode, data: {mode}}), make('span', {text})));
+  const why = make('input', {autocomplete: 'off', maxlength: 200, data: {why: ''}});
+  const question = new Question(`Let ${machine} forget`,
+    `The predictor of ${machine} knows less of the thermal error than probes have taught it, and `
+    + 'asks for a probe. Its band is wider until then; offsets do not step.',
+    {fields: [...modes, make('label', {}, make('span', {text: 'Reason, such as "new spindle"'}), why)],
+      confirm: 'Forget', askToken: needsToken});
+  question.open((by, refuse) => {
+    const mode = modes.map(({firstChild}) => firstChild).find(({checked}) => checked)?.value;
+    if (!mode) {
+      refuse('Choose what is forgotten.', modes[0].firstChild);
+      return null;
+    }
+    if (!why.value.trim()) {
+      refuse('A reason is needed: it is written into the recording.', why);
+      return null;
+    }
+    return request(machine, 'forget', {mode, why: why.value.trim(), by});
+  });
+}
+
 function record(context) {
   const {machine, view} = context;
   const active = Boolean(view.recording?.active);
@@ -198,6 +228,7 @@ const ACTS = [
   ['activate', 'Activate…', activate],
   ['deactivate', 'Deactivate…', deactivate],
   ['probe', 'Enter probe…', probe],
+  ['forget', 'Forget…', forget],
   ['record', 'Start recording…', record],
 ];
 
@@ -222,6 +253,7 @@ export function showActions(container, view, {writable, recordable}) {
   if (!view) return;
   button('activate').disabled = ['active', 'finalized'].includes(node?.lifecycle);
   button('deactivate').disabled = ['inactive', 'finalized'].includes(node?.lifecycle);
+  button('forget').disabled = !view.probing;
   button('record').disabled = !(recordable || view.recording?.active);
   button('record').textContent = view.recording?.active ? 'Stop recording…' : 'Start recording…';
 }

@@ -105,7 +105,7 @@ def test_what_can_be_asked_for_is_this_and_no_more(page):
         ('/static/vendor', ()),
         ('/static', ()),
     }
-    assert app.ACTIONS == ('reference', 'activate', 'deactivate', 'probe', 'record')
+    assert app.ACTIONS == ('reference', 'activate', 'deactivate', 'probe', 'forget', 'record')
     for action in (
         'jog',
         'move',
