@@ -22,6 +22,7 @@ from fuzzycnc_ros.cli.console import (
 )
 from fuzzycnc_ros.cli.options import OptionalPath, OptionalText, Report, choice, given
 from fuzzycnc_ros.cli.soft.compensate import compensate, read_model_file
+from fuzzycnc_ros.cli.soft.trial import measure, pattern, simulate
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.studies.soft.foam_records import Samples
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 HELP = """Compensate patterns and designs on soft material: show, train, compensate, learn.
 
     fuzzycnc soft demo --report foam.html
+    fuzzycnc soft pattern --out trial.dst --marks marks.csv
+    fuzzycnc soft measure photo.jpg --pattern trial.dst --marks marks.csv --out measured.csv
     fuzzycnc soft train calibration --out model.json
     fuzzycnc soft compensate quilt.ngc --model model.json --thickness 15mm --depth 6mm \\
         --step 3mm --out quilt_compensated.ngc
@@ -257,7 +260,8 @@ def learn(
             metavar='SOURCE...',
             help='Bags of runs of one track, of the last cycle, or a .csv for each run with the '
             'columns x_mm, y_mm, stitched_x_mm, stitched_y_mm and, if the run had offsets, '
-            'offset_x_mm and offset_y_mm, as `soft compensate` writes them.',
+            'offset_x_mm and offset_y_mm, and jump, as `soft compensate` and `soft measure` write '
+            'them.',
         ),
     ],
     out: Annotated[Path, typer.Option(metavar='OFFSETS', help='File of offsets to write.')],
@@ -324,5 +328,8 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     'train': train,
     'compensate': compensate,
     'learn': learn,
+    'pattern': pattern,
+    'measure': measure,
+    'simulate': simulate,
 }
 """The subcommands in the order of the help."""

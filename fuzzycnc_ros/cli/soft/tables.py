@@ -21,6 +21,7 @@ from fuzzycnc_ros.studies.soft.foam_records import Recordings, recorded_run
 COMMANDED = ('x_mm', 'y_mm')
 OFFSET = ('offset_x_mm', 'offset_y_mm')
 STITCHED = ('stitched_x_mm', 'stitched_y_mm')
+JUMP = 'jump'
 
 
 @dataclass(frozen=True)
@@ -84,18 +85,22 @@ def read_tables(sources: Sequence[Path], options: TrackOptions) -> Recordings | 
 
 def _run(path: Path, sheet: SheetMaterial, path_id: str) -> RecordedPath:
     """Read a run; its commanded places include the offsets, as `soft compensate` writes them."""
-    found = read_numbers(path, COMMANDED + STITCHED, optional=OFFSET)
-    known = found.columns[4:]
+    found = read_numbers(path, COMMANDED + STITCHED, optional=(*OFFSET, JUMP))
+    known = [name for name in found.columns[4:] if name in OFFSET]
     if len(known) == 1:
         raise ValueError(f'{path}: line 1: expected both {" and ".join(OFFSET)} or neither')
     values = 1e-3 * found.values
     commanded, stitched = values[:, :2], values[:, 2:4]
+    jump = np.zeros(len(values), bool)
+    if JUMP in found.columns:
+        jump = found.values[:, found.columns.index(JUMP)] != 0.0
     return recorded_run(
         commanded,
         stitched,
-        values[:, 4:] if known else np.zeros_like(commanded),
+        values[:, 4:6] if known else np.zeros_like(commanded),
         path_id=path_id,
         material=sheet,
         source=str(path),
         places=[f'line {number}' for number in found.lines],
+        jump=jump,
     )

@@ -333,7 +333,6 @@ def _embroidered(source: DesignFile, placed: PlacedDesign, ending: str) -> bytes
             for point, kind in zip(placed.points, placed.design.move.tolist(), strict=True)
         ]
         stitches = [[x / UNIT, -y / UNIT, command] for x, y, command in rows]
-        stitches.append([stitches[-1][0], stitches[-1][1], pe.END])
     else:
         pattern = old.copy()
         stitches = [list(row) for row in old.stitches]
@@ -349,6 +348,8 @@ def _embroidered(source: DesignFile, placed: PlacedDesign, ending: str) -> bytes
         ]
         if not placed.merged[place]:
             written.append(row)
+    if old is None:
+        written.append([*written[-1][:2], pe.END])
     pattern.stitches = written
     # A writer would draw colours for threads that the source does not know.
     kinds = [row[2] & 0xFF for row in written]

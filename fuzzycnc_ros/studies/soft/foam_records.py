@@ -175,6 +175,7 @@ def recorded_run(
     material: SheetMaterial,
     source: str,
     places: Sequence[str],
+    jump: NDArray[np.bool_] | None = None,
 ) -> RecordedPath:
     """Return a run of a track from its points, shape (n + 1, 2) [m].
 
@@ -190,6 +191,8 @@ def recorded_run(
         Where the run is from, for messages.
     places : sequence of str
         Where each point is from.
+    jump : ndarray of bool, shape (n + 1,), optional
+        Points to which no stitch leads: each begins a side of its own.
 
     Raises
     ------
@@ -218,7 +221,7 @@ def recorded_run(
         nominal=commanded - offset,
         offset=offset,
         stitched=stitched,
-        primitive=np.zeros(steps, np.int64),
+        primitive=np.zeros(steps, np.int64) if jump is None else np.cumsum(jump[1:]),
         kind=np.full(steps, float(LINE)),
         turn=np.zeros(steps),
         depth=np.zeros(steps),

@@ -37,6 +37,9 @@ Tell = Callable[[str, int, int], None]
 FOLDS = 5
 """Parts that are held out in turn."""
 
+LEAST = 10
+"""Fewest samples that differ, to train a model and to judge it on others."""
+
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
@@ -208,9 +211,11 @@ def train_model(
         raise ValueError(
             f'method: expected {AUTO} or one of {", ".join(METHODS)} but found {method!r}'
         )
-    check_enough(samples.x, samples.s, TSFuzzyNetwork(**settings).n_rules)
+    needed = samples_needed(TSFuzzyNetwork(**settings).n_rules, FOLDS)
+    check_enough(samples.x, samples.s, needed if method == 'network' else LEAST)
     out = outlying(samples.x, samples.s)
     x, s, groups = samples.x[~out], samples.s[~out], samples.groups[~out]
+    few = method != 'network' and _different(x, s) < needed
     trainers: dict[str, Callable[[Array, Array], DeformationModel]] = {
         'none': no_correction,
         'ridge': ridge_regression,
@@ -218,6 +223,8 @@ def train_model(
     }
     named = METHODS | {'network': CONSEQUENTS[settings.get('consequent', 'nts')]}
     compared = list(METHODS) if method == AUTO else list(dict.fromkeys(('none', method)))
+    if few:  # for a rule with a sample of its own, held out in turn
+        compared, others = [name for name in compared if name != 'network'], ()
     rivals = [
         Rival(named[key], _fitted(trainers[key]))
         if key in trainers
@@ -228,7 +235,9 @@ def train_model(
     judged = judge_training(
         x, s, groups, rivals, seed=int(settings.get('random_state', 0)), progress=progress
     )
-    chosen = _chosen(judged, s, groups) if method == AUTO else compared.index(method)
+    chosen = (
+        _chosen(judged, s, groups, len(compared)) if method == AUTO else compared.index(method)
+    )
     judged = replace(judged, used=chosen)
     name = compared[chosen]
     notes: tuple[str, ...]
@@ -238,8 +247,10 @@ def train_model(
     else:
         model, notes = trainers[name](x, s), direction_doubts(x, s)
     lines = [*_outlier_lines(samples, out), *(f'note: {note}' for note in notes)]
+    if few and method == AUTO:
+        lines.append(f'no network: it takes {needed} samples that differ')
     if method == AUTO:
-        lines.append(_choice_line(judged, name))
+        lines.append(_choice_line(judged, name, len(compared)))
     doubts = tuple(lines[:-1] if method == AUTO and name != 'none' else lines)
     if model.corrects:
         lines.append(_gate_line(model))
@@ -251,13 +262,13 @@ def _fitted(make: Callable[[Array, Array], DeformationModel]) -> Trainer:
     return lambda x, s, groups: make(x, s).predict
 
 
-def _chosen(judged: FoamTraining, s: Array, groups: NDArray[np.int64]) -> int:
+def _chosen(judged: FoamTraining, s: Array, groups: NDArray[np.int64], rivals: int) -> int:
     """Return the place of the model that held-out samples choose."""
     _, group = np.unique(groups, return_inverse=True)
     count = np.bincount(group)
     error = [
         np.bincount(group, np.hypot(*(item.predicted - s).T)) / count
-        for item in judged.errors[: len(METHODS)]
+        for item in judged.errors[:rivals]
     ]
     best = 0
     for place in range(1, len(error)):
@@ -267,11 +278,11 @@ def _chosen(judged: FoamTraining, s: Array, groups: NDArray[np.int64]) -> int:
     return best
 
 
-def _choice_line(judged: FoamTraining, method: str) -> str:
+def _choice_line(judged: FoamTraining, method: str, rivals: int) -> str:
     """Return which model was chosen and why."""
     none, used = judged.errors[0], judged.errors[judged.used]
     if method == 'none':
-        least = min(judged.errors[1 : len(METHODS)], key=lambda item: item.rms)
+        least = min(judged.errors[1:rivals], key=lambda item: item.rms)
         return (
             'no correction: held-out samples show no deformation that a model predicts beyond '
             f'chance; {none.rms:.3f} mm per 50 mm without, {least.rms:.3f} with the best '
@@ -388,8 +399,7 @@ def plain_regressor(features: str, make: Callable[[int], Any]) -> Trainer:
     return train
 
 
-@single_threaded
-def check_enough(x: Array, s: Array, rules: int) -> None:
+def check_enough(x: Array, s: Array, needed: int) -> None:
     """Refuse fewer samples than it takes to train a model and to judge it on others.
 
     Parameters
@@ -398,20 +408,24 @@ def check_enough(x: Array, s: Array, rules: int) -> None:
         Process values.
     s : ndarray, shape (k, 2)
         Compensations that were needed [mm per 50 mm].
-    rules : int
-        Number of rules.
+    needed : int
+        How many have to differ.
 
     Raises
     ------
     ValueError
         If there are; the text says how many are needed.
     """
-    found, needed = len(np.unique(np.column_stack([x, s]), axis=0)), samples_needed(rules, FOLDS)
+    found = _different(x, s)
     if found < needed:
         raise ValueError(
-            f'samples: expected at least {needed} that differ, to learn {rules} rules and to '
-            f'judge them on others, but found {found}; record more'
+            f'samples: expected at least {needed} that differ, to learn a model and to judge it '
+            f'on others, but found {found}; record more'
         )
+
+
+def _different(x: Array, s: Array) -> int:
+    return len(np.unique(np.column_stack([x, s]), axis=0))
 
 
 def judge_training(

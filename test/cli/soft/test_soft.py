@@ -399,12 +399,21 @@ def test_compensations_in_other_units_are_doubted(fuzzycnc, tmp_path, samples, f
     assert 'if they are m' in outcome.out
 
 
-@pytest.mark.parametrize('rows', [1, 2, 3, 5, 10, 18])
+@pytest.mark.parametrize('rows', [1, 2, 3, 5, 9])
 def test_few_rows_give_one_sentence(refused, tmp_path, samples, rows):
     x, s = samples
     write_samples(tmp_path / 's.csv', x[:rows], s[:rows])
-    naming = ['at least 19 that differ', f'found {rows}; record more']
+    naming = ['at least 10 that differ', f'found {rows}; record more']
     refused('soft', 'train', 's.csv', '--out', 'm.json', naming=naming)
+
+
+def test_few_samples_are_judged_without_the_network(fuzzycnc, tmp_path, samples):
+    x, s = samples
+    write_samples(tmp_path / 's.csv', x[:14], s[:14])
+    outcome = fuzzycnc('soft', 'train', 's.csv', '--out', 'm.json', '--json', 'o.json')
+    assert outcome.code == 0, outcome.err
+    assert 'no network: it takes 19 samples that differ' in outcome.out
+    assert json.loads((tmp_path / 'o.json').read_text())['method'] in ('none', 'ridge')
 
 
 def test_enough_rows_in_too_few_groups_are_named(refused, tmp_path, samples):
@@ -440,7 +449,7 @@ def test_train_refuses_bad_rows(refused, tmp_path, column, value, naming):
     [
         (('train', 'no.csv', '--out', 'm.json'), ['no.csv', 'nothing is there']),
         (('train', 'no', '--out', 'm.json'), ['no', 'nothing is there']),
-        (('train', 'few.csv', '--out', 'm.json'), ['at least 19 that differ', 'found 1;']),
+        (('train', 'few.csv', '--out', 'm.json'), ['at least 10 that differ', 'found 1;']),
         (('train', 'few.csv', 'few.csv', '--out', 'm.json'), ['one .csv alone']),
         (('train', 'odd.csv', '--out', 'm.json'), ['odd.csv: line 1', 'depth_mm']),
         (('train', 'empty.csv', '--out', 'm.json'), ['rows below the header']),
