@@ -25,9 +25,7 @@ from dataclasses import replace
 from pathlib import Path
 from time import monotonic
 
-from fuzzycnc_ros.core.identify.axis_data import identified_axis
-from fuzzycnc_ros.core.identify.axis_fit import fit_axis
-from fuzzycnc_ros.core.identify.frequency import frequency_response
+from fuzzycnc_ros.core.identify.axis_data import identify_axis
 from fuzzycnc_ros.core.machine.machine_data import AxisData
 from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS
 from fuzzycnc_ros.simulation.servo.axis_tuning import (
@@ -59,9 +57,7 @@ def identified(name: str) -> AxisData:
     config = UNSEEN[name]
     rigid = config.force / (config.motor + config.slide)
     recording = operated(TwoMassAxis(config), rigid, RECORDED, seed=1)
-    fit = fit_axis([recording])
-    response = frequency_response([recording], fit.model.gain)
-    return identified_axis(fit, response, [recording], force=config.force)
+    return identify_axis([recording], force=config.force).data
 
 
 def axis_itself(config: TwoMassConfig, data: AxisData, case: AxisCase) -> TwoMassAxis:

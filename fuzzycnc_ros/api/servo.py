@@ -33,7 +33,12 @@ from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 from fuzzycnc_ros.machine_file.reader import is_axis_name, read_machine_file
 from fuzzycnc_ros.machine_file.writer import machine_text
 from fuzzycnc_ros.simulation.servo.axes import simulated_axis
-from fuzzycnc_ros.simulation.servo.axis_tuning import AxisTuning, axis_cases, tune_controller
+from fuzzycnc_ros.simulation.servo.axis_tuning import (
+    AxisTuning,
+    axis_cases,
+    tune_controller,
+    untuned_controllers,
+)
 from fuzzycnc_ros.simulation.servo.positioning import DrivenAxis, position
 
 __all__ = [
@@ -129,8 +134,7 @@ def identify(
             'between two samples; divide by 1000 if they are in millimetres',
             stacklevel=2,
         )
-    _, _, data = identify_axis([recording], force=force)
-    return data
+    return identify_axis([recording], force=force).data
 
 
 def tune(axis: AxisData, *, seed: int = 0, generations: int = 8, population: int = 6) -> AxisData:
@@ -162,7 +166,9 @@ def tune(axis: AxisData, *, seed: int = 0, generations: int = 8, population: int
         tune_controller(axis, name, seed=seed, generations=generations, population=population)
         for name in AXIS_CONTROLLERS
     ]
-    return AxisTuning(tuple(found), axis_cases(axis, held_out=True, seed=seed)).tuned(axis)
+    plain = untuned_controllers(axis, tuple(AXIS_CONTROLLERS), seed=seed)
+    cases = axis_cases(axis, held_out=True, seed=seed)
+    return AxisTuning((*found, *plain), cases).tuned(axis)
 
 
 def save_axis(axis: AxisData, path: str | os.PathLike[str], name: str) -> None:

@@ -48,6 +48,8 @@ def _axis_doubts(name: str, axis: AxisData) -> Iterator[str]:
         yield f'{place}.limits: the way to a position is faster than the limits of the axis'
     if plant is None:
         return
+    if axis.knowledge.not_fit_for_control:
+        yield f'{place}: not fit for control: {axis.knowledge.not_fit_for_control}'
     if isinstance(plant, BallscrewAxisConfig):
         rise = plant.force_max / plant.mass
         viscous = 0.5 * (plant.viscous_forward + plant.viscous_backward)

@@ -9,7 +9,7 @@ from dataclasses import fields
 from typing import Any, NamedTuple
 
 from fuzzycnc_ros.core.config import Config
-from fuzzycnc_ros.core.machine.machine_data import MachineData
+from fuzzycnc_ros.core.machine.machine_data import NOTHING_KNOWN, MachineData
 from fuzzycnc_ros.core.units import written
 from fuzzycnc_ros.machine_file.reader import FAULTS
 
@@ -36,6 +36,8 @@ def _values(machine: MachineData) -> Iterator[MachineValue]:
             source = machine.source.get(f'{place}.plant.model', '')
             yield MachineValue(f'{place}.plant.model', axis.model, axis.model, source)
             yield from _section(machine, axis.plant, f'{place}.plant', FAULTS)
+        if axis.knowledge != NOTHING_KNOWN:
+            yield from _section(machine, axis.knowledge, f'{place}.knowledge')
         if axis.controller:
             yield _plain(machine, f'{place}.controller.name', axis.controller)
         for key, value in axis.settings.items():

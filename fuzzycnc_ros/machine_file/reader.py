@@ -9,6 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from fuzzycnc_ros.bags.yaml_file import Entry, YamlReading, compose
+from fuzzycnc_ros.core.machine.knowledge import AxisKnowledge
 from fuzzycnc_ros.core.machine.machine_data import (
     PLANTS,
     AxisData,
@@ -154,7 +155,7 @@ def _axes(
                 f'expected names such as X of letters and digits but found {axis!r}',
             )
         section = reading.mapping(sections[axis], place) if axis in sections else {}
-        reading.known(section, ('limits', 'plant', 'controller'), place)
+        reading.known(section, ('limits', 'plant', 'knowledge', 'controller'), place)
         limits = reading.config(
             AxisLimits,
             reading.section(section, 'limits', place),
@@ -162,12 +163,16 @@ def _axes(
             given=ini.axes.get(axis),
         )
         plant = reading.section(section, 'plant', place)
+        knowledge = reading.config(
+            AxisKnowledge, reading.section(section, 'knowledge', place), f'{place}.knowledge'
+        )
         controller, settings = _controller(reading, section, place)
         yield (
             axis,
             AxisData(
                 limits=limits,
                 plant=_plant(reading, section, plant, f'{place}.plant') if plant else None,
+                knowledge=knowledge,
                 controller=controller,
                 settings=settings,
             ),

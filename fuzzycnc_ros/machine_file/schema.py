@@ -13,6 +13,7 @@ from itertools import combinations
 from typing import Any
 
 from fuzzycnc_ros.core.config import Config
+from fuzzycnc_ros.core.machine.knowledge import AxisKnowledge
 from fuzzycnc_ros.core.machine.machine_data import LINEAR_AXES, PLANTS, AxisLimits, PathLimits
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.core.units import NUMBER, unit_names
@@ -54,6 +55,7 @@ def machine_schema() -> dict[str, Any]:
             'properties': {'model': {'enum': list(PLANTS)}},
             'oneOf': plants,
         },
+        'knowledge': _mapping('How well the model is known', _parameters(AxisKnowledge)),
         'controller': _mapping('Controller that the axis is used with', controller),
     }
     constant = _number('s^2', 1e-9, 1.0) | {

@@ -9,7 +9,7 @@ from dataclasses import Field, fields
 from typing import Any
 
 from fuzzycnc_ros.core.config import Config
-from fuzzycnc_ros.core.machine.machine_data import MachineData
+from fuzzycnc_ros.core.machine.machine_data import NOTHING_KNOWN, MachineData
 from fuzzycnc_ros.core.units import written
 from fuzzycnc_ros.machine_file.reader import FAULTS
 
@@ -55,6 +55,9 @@ def machine_text(
         if axis.plant is not None:
             lines += ['    plant:', f'      model: {axis.model}']
             lines += _section(axis.plant, 6, '', FAULTS)
+        if axis.knowledge != NOTHING_KNOWN:
+            lines.append('    knowledge:')
+            lines += _section(axis.knowledge, 6, '', frozenset())
         if axis.controller or axis.settings:
             lines.append('    controller:')
             if axis.controller:
@@ -97,6 +100,6 @@ def _text(value: str) -> str:
     """Return a text so that YAML reads it as one."""
     import json
 
-    plain = value.replace('_', '').isalnum() and value[0].isalpha()
+    plain = value.replace('_', '').isalnum() and value[:1].isalpha()
     words = {'y', 'n', 'yes', 'no', 'true', 'false', 'on', 'off', 'null'}
     return value if plain and value.lower() not in words else json.dumps(value)

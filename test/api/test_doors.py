@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -175,7 +176,9 @@ def test_a_recording_that_cannot_be_one_is_refused(changes, message):
 
 
 def test_positions_in_millimetres_are_doubted(monkeypatch):
-    monkeypatch.setattr(servo, 'identify_axis', lambda recordings, force: (None, None, 'data'))
+    monkeypatch.setattr(
+        servo, 'identify_axis', lambda recordings, force: SimpleNamespace(data='data')
+    )
     speed = 0.1 * np.sign(DUTY)  # 0.1 m/s
     assert servo.identify(DUTY, 1e-3 * np.cumsum(speed), 1e-3) == 'data'
     with pytest.warns(UserWarning, match='position: expected metres, at most 10 m/s'):

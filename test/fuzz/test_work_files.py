@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Hostile files that commands work on: samples, records, stitches, points of a path."""
+"""Hostile files that commands work on: samples, records, axes, stitches, points of a path."""
 
 import csv
 import random
@@ -17,9 +17,13 @@ from hypothesis import given
 from fuzzycnc_ros.cli.foam.compensate import Job, shifted_points, shifted_program
 from fuzzycnc_ros.core.deformation.model import read_model
 from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial
+from fuzzycnc_ros.core.identify.robustness import AxisModels
+from fuzzycnc_ros.core.servo.axis_control import make_axis_controller
+from fuzzycnc_ros.machine_file.reader import read_machine_file
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 from fuzzycnc_ros.studies.pareto.pareto_path import table_path
+from fuzzycnc_ros.studies.servo.identify_recording import read_columns
 from fuzzycnc_ros.studies.servo.recorded_moves import read_csv
 from fuzzycnc_ros.studies.soft.foam_records import COLUMNS, read_samples
 
@@ -30,6 +34,24 @@ PROGRAM = 'G21 G90\nG0 X22.3 Y32.3\nG1 X92.3 F1200\nG1 X127.6 Y67.6\nG3 X97.6 Y6
 MOVES = [
     f'{1e-3 * k:.3f},{10 * (k > 9)},{min(0.1 * k, 10):.3f},{0.2 * (k < 99):g}' for k in range(120)
 ]
+
+IDENTIFIED = """machine: mill
+axes:
+  X:
+    limits: {velocity: 140 mm/s, travel_low: -12.3 mm, travel_high: 258 mm, resonance: 0 Hz}
+    plant: {model: mass, mass: 93.2 kg, count: 0.1 um, delay: 0.456 ms, mode: 60 Hz}
+    knowledge:
+      known_to: 68.1 Hz
+      gain_low: 0.97
+      gain_high: 1.03
+      delay_low: 0.1 ms
+      mode_low: 55 Hz
+      mode_high: 66 Hz
+      damping_low: 0.02
+      unexplained: 0.06
+      remainder: "1.19:4.8 13.45:0.35 53.8:0.43 107.6:6"
+      not_fit_for_control: ""
+"""
 
 
 @pytest.fixture(scope='module')
@@ -95,6 +117,40 @@ def test_stitches(folder, seed):
         header, *lines = csv.reader(StringIO(written[0]))
         places = [header.index(name) for name in ('x_mm', 'y_mm', 'offset_x_mm', 'offset_y_mm')]
         assert np.isfinite([[float(line[place]) for place in places] for line in lines]).all()
+
+
+@fuzz(25, share=0.2)
+@given(seed=SEEDS)
+def test_identified_axes(folder, seed):
+    file = folder / 'axis.yaml'
+    file.write_bytes(damaged(IDENTIFIED, random.Random(seed)))
+
+    def read(path):
+        data = read_machine_file(path).axes.get('X')
+        if data is None or data.plant is None or data.knowledge.not_fit_for_control:
+            return
+        models = AxisModels(data)
+        margin = models.margin(make_axis_controller(data, 'pid'), spread=False)
+        assert np.isfinite(models.deviation).all()
+        assert np.isfinite([margin.distance, margin.radius, margin.yielding]).all()
+
+    refused_or_read(read, file)
+
+
+@fuzz(25, share=0.2)
+@given(seed=SEEDS)
+def test_recordings_of_an_axis(folder, seed):
+    file = folder / 'recording.csv'
+    text = '\n'.join(['t,set,actual,duty', *MOVES])
+    file.write_bytes(damaged(text, random.Random(seed)))
+
+    def read(path):
+        wanted = {'t': 't', 'reference': 'set', 'position': 'actual', 'command': 'duty'}
+        for part in read_columns(path, wanted, None):
+            assert part.period > 0.0
+            assert all(np.isfinite(values).all() for values in part.values.values())
+
+    refused_or_read(read, file)
 
 
 @fuzz(25, share=0.2)

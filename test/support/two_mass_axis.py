@@ -121,7 +121,7 @@ def operated(plant, acceleration, seconds=4.0, seed=0, width=25.0):
         speed, last = 0.9 * speed + 0.1 * (place - last) / plant.period, place
         pull = float(np.clip(width**2 / acceleration * (target - place), -0.6, 0.6))
         duty = float(np.clip(pull - 1.4 * width / acceleration * speed, -1.0, 1.0))
-        rows.append((duty, place))
+        rows.append((duty, place, target))
         plant.drive(duty)
-    duty, place = np.array(rows).T
-    return AxisRecording(duty, place, plant.period)
+    duty, place, target = np.array(rows).T
+    return AxisRecording(duty, place, plant.period, target)

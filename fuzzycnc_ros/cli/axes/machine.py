@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
+from fuzzycnc_ros.cli.axes.excite import excite
 from fuzzycnc_ros.cli.completion import word_or_file
 from fuzzycnc_ros.cli.console import (
     JsonFile,
@@ -53,8 +54,9 @@ def identify(
         typer.Option(
             metavar='WHAT=NAME,...',
             show_default=False,
-            help='Columns: t, command and position of an axis; or t, commanded_X, actual_X, '
-            'commanded_Y, ... of axes that follow a path. Numbers where there is no header.',
+            help='Columns: t, command and position of an axis, and the reference that it '
+            'followed; or t, commanded_X, actual_X, commanded_Y, ... of axes that follow a path. '
+            'Numbers where there is no header.',
         ),
     ] = None,
     unit: Annotated[str, choice('Unit of the positions.', tuple(LENGTHS))] = 'mm',
@@ -157,6 +159,7 @@ def _drive_recordings(
                     sign * part.values['command'] / full,
                     metres * part.values['position'],
                     part.period,
+                    part.values.get('reference'),
                 )
             )
     if not found:
@@ -187,7 +190,7 @@ def _axis(
     sign: float,
     base: 'MachineData | None',
 ) -> 'tuple[MachineData, dict[str, Any]]':
-    from fuzzycnc_ros.core.identify.axis_data import identified_dead_time, identify_axis
+    from fuzzycnc_ros.core.identify.axis_data import identify_axis
     from fuzzycnc_ros.core.machine.machine_data import AxisData, MachineData
     from fuzzycnc_ros.studies.servo.identification_tables import (
         axis_fit_document,
@@ -197,17 +200,14 @@ def _axis(
 
     before = base.axes.get(axis, AxisData()) if base is not None else AxisData()
     with progress_bar('fitting') as tell:
-        fit, response, data = identify_axis(
-            stretches, force=force, direction=sign, before=before, progress=tell
-        )
-    dead_time = identified_dead_time(fit, response)
-    show(axis_fit_table(fit, response, dead_time, f'Axis {axis}'))
-    for line in axis_fit_remarks(fit, response, force):
+        found = identify_axis(stretches, force=force, direction=sign, before=before, progress=tell)
+    show(axis_fit_table(found, f'Axis {axis}'))
+    for line in axis_fit_remarks(found, force):
         remark(line)
     machine = base or MachineData(name=f'axis {axis}')
     return (
-        replace(machine, axes={**machine.axes, axis: data}),
-        axis_fit_document(fit, response, dead_time),
+        replace(machine, axes={**machine.axes, axis: found.data}),
+        axis_fit_document(found),
     )
 
 
@@ -287,6 +287,7 @@ HELP = """Write down what is known of your machine, in one file for all commands
     fuzzycnc machine new mill.yaml --linuxcnc-ini mill.ini
     fuzzycnc machine show mill.yaml
     fuzzycnc machine check mill.yaml
+    fuzzycnc machine excite x.ngc --machine-file mill.yaml --axis X
     fuzzycnc machine identify drive.csv --columns command=duty,position=pos --out axis.yaml
 
 `schedule`, `pareto`, `position`, `servo`, `up` and the nodes take it as --machine-file.
@@ -427,6 +428,7 @@ def check(file: File, json_file: JsonFile = None) -> None:
 COMMANDS: dict[str, Callable[..., Any]] = {
     'new': new,
     'show': show_machine,
+    'excite': excite,
     'identify': identify,
     'check': check,
 }

@@ -59,7 +59,13 @@ def machine_axis(file: str, axis: str) -> tuple[MachineData, str, AxisData]:
     if not axis and len(known) > 1:
         raise ValueError(f'--axis: expected one of {", ".join(known)} but found none')
     name = axis or known[0]
-    return machine, name, machine.axes[name]
+    data = machine.axes[name]
+    if data.knowledge.not_fit_for_control:
+        raise ValueError(
+            f'{file}: axes.{name}: expected a model that is fit for control but found one that is '
+            f'marked `not_fit_for_control`: {data.knowledge.not_fit_for_control}'
+        )
+    return machine, name, data
 
 
 def own_controller(data: AxisData, params: Path | None) -> str:
@@ -160,7 +166,12 @@ def tune_machine_axis(
     from fuzzycnc_ros.cli.workers import in_workers
     from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS, SETTINGS, WITH_PARAMS
     from fuzzycnc_ros.machine_file.writer import machine_text
-    from fuzzycnc_ros.simulation.servo.axis_tuning import AxisTuning, axis_cases
+    from fuzzycnc_ros.simulation.servo.axis_tuning import (
+        AxisTuning,
+        axis_cases,
+        loop_limit,
+        untuned_controllers,
+    )
     from fuzzycnc_ros.studies.servo.axis_tuning_tables import (
         axis_tuning_document,
         axis_tuning_remarks,
@@ -174,17 +185,24 @@ def tune_machine_axis(
     pieces = [(data, kind, effort) for kind in kinds]
     with progress_bar('searching') as tell:
         controllers = in_workers(_tuned, pieces, kinds, jobs, tell)
-    found = AxisTuning(tuple(controllers), axis_cases(data, held_out=True, seed=effort.seed))
+    # What has won on a model alone may be worse on the axis than no tuning at all.
+    plain = untuned_controllers(data, kinds, seed=effort.seed)
+    cases = axis_cases(data, held_out=True, seed=effort.seed)
+    found = AxisTuning((*controllers, *plain), cases)
     show(axis_tuning_table(found, f'Axis {name} of {machine.name}'))
     for line in axis_tuning_remarks(found):
         remark(line)
     winner = found.winner
     axes = dict(machine.axes)
     axes[name] = found.tuned(data)
-    about = (
-        f'controller of {name}: tuned, seed {effort.seed}, {winner.trials} trials for each of '
-        f'{len(controllers)} kinds'
-    )
+    if winner.margin is not None:
+        say(f'what limits it: {loop_limit(data, winner)}')
+    about = f'controller of {name}: untuned, as tuning made it no better'
+    if winner.trials:
+        about = (
+            f'controller of {name}: tuned, seed {effort.seed}, {winner.trials} trials for each of '
+            f'{len(controllers)} kinds'
+        )
     ini = machine.source.get('linuxcnc.ini', '')
     write_text(out, machine_text(replace(machine, axes=axes), ini=ini, about=about))
     say(f'{out}: the machine file with it, for `fuzzycnc position --machine-file {out}`')

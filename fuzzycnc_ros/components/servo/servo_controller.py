@@ -220,6 +220,10 @@ class ServoController(Component[ServoControllerConfig]):
         else:
             text = ServoStatus(self._status).name.lower()
             items = [Health('state', Level.OK, text, values)]
+        for axis in self._axes:
+            if axis.controller.taken_back:
+                why = 'its loop was unstable and has gain taken back: tune it, or identify it anew'
+                items.append(Health(f'gain {axis.name}', Level.WARN, why))
         level = Level.WARN if self._missed else Level.OK
         items.append(Health('deadlines', level, f'{self._missed} missed since activation'))
         if self._refusal:

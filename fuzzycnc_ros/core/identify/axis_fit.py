@@ -10,13 +10,14 @@ References
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from math import exp, inf, log, sqrt
 from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.signal import lfilter, savgol_filter
+from scipy.signal import savgol_filter
 from scipy.stats import t as student
 
 from fuzzycnc_ros.core.arrays import Array
@@ -40,8 +41,6 @@ class AxisModel:
         Steady deceleration, friction that differs by direction included [m/s^2].
     delay : float
         Dead time between command and force [s].
-    drive_lag : float
-        Time constant of the force [s].
     """
 
     gain: float
@@ -50,7 +49,6 @@ class AxisModel:
     coulomb: float
     offset: float
     delay: float = 0.0
-    drive_lag: float = 0.0
 
     def simulate(
         self, command: Array, period: float, position: float = 0.0, velocity: float = 0.0
@@ -82,7 +80,7 @@ class AxisModel:
         >>> f'{model.simulate(np.full(1001, 2.0), 1e-3)[-1]:.3f}'
         '0.147'
         """
-        push = (self.gain * self._acting(command, period) - self.offset).tolist()
+        push = (self.gain * self.acting(command, period) - self.offset).tolist()
         forward = _held(self.viscous_forward, period)
         backward = _held(self.viscous_backward, period)
         half = 0.5 * period
@@ -107,21 +105,14 @@ class AxisModel:
             speed = after
         return np.array(course)
 
-    def _acting(self, command: Array, period: float) -> Array:
-        """Return what drives in each period: the command after dead time and lag."""
+    def acting(self, command: Array, period: float) -> Array:
+        """Return what drives in each period: the command after its dead time."""
         acting = np.asarray(command, dtype=np.float64)
         if self.delay > 0.0:
             whole, part = divmod(self.delay / period, 1.0)
             late = int(whole)
             padded = np.concatenate([np.full(late + 1, acting[0]), acting])
             acting = (1.0 - part) * padded[1 : 1 + len(acting)] + part * padded[: len(acting)]
-        if self.drive_lag > 0.0:
-            keep = exp(-period / self.drive_lag)
-            mean = (1.0 - keep) * self.drive_lag / period
-            start = acting[0]
-            # the lagged value at the beginning of each period, then its mean over the period
-            state = lfilter([0.0, 1.0 - keep], [1.0, -keep], acting - start) + start
-            acting = acting + (state - acting) * mean
         return acting
 
 
@@ -141,9 +132,6 @@ STRUCTURES: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 """Structures that compete, the simplest first, by the parameters that each has."""
 
-FURTHER: dict[str, str] = {'dead time': 'delay', 'lag': 'drive_lag'}
-"""Parameters that are added one after the other, as long as each is worth it."""
-
 BETTER = 0.97
 """Held-out error, as share of a simpler structure's, from which a further parameter is taken."""
 
@@ -153,6 +141,11 @@ _BLOCKS = 20
 _SHORT = 10
 """Stretches into which a recording is cut where structures compete: a fit that needs no start."""
 
+_FOLLOWS, _SPEED_RATE = 0.5, 50.0
+"""Correlation of command and speed from which the one follows the other at once [-], and the rate
+at
+which it is then taken to do so at first [1/s]."""
+
 _HORIZONS = (20, 5, 1)
 """Stretches into which a recording is cut for the fit to all data, which heeds all alike.
 
@@ -160,9 +153,6 @@ Over a whole recording friction makes a simulation drift, and a fit to that alon
 many minima; short stretches alone tell the friction badly.  On the EMPS recording these three left
 the least error on halves that the fit had not seen.
 """
-
-_DELAY_MAX = 0.02
-"""Longest dead time and lag that are looked for [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +167,8 @@ class AxisRecording:
         Measured position [m].
     period : float
         Time between two samples [s].
+    reference : ndarray, shape (n,), optional
+        Set points that the recording followed: positions, or a duty that was added.
 
     Raises
     ------
@@ -187,6 +179,7 @@ class AxisRecording:
     command: Array
     position: Array
     period: float
+    reference: Array | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 < self.period < inf:
@@ -197,7 +190,16 @@ class AxisRecording:
                 f'position: expected one for each command but found the shapes {shapes[1]} and '
                 f'{shapes[0]}'
             )
-        for name in ('command', 'position'):
+        if self.reference is not None and np.shape(self.reference) != shapes[0]:
+            raise ValueError(
+                f'reference: expected one for each command but found the shapes '
+                f'{np.shape(self.reference)} and {shapes[0]}'
+            )
+        for name in (
+            'command',
+            'position',
+            *(['reference'] if self.reference is not None else []),
+        ):
             values = getattr(self, name)
             bad = np.flatnonzero(~np.isfinite(values))
             if len(bad):
@@ -206,9 +208,21 @@ class AxisRecording:
                     f'{bad[0]}'
                 )
 
+    @cached_property
+    def start(self) -> tuple[float, float]:
+        """Position and velocity at the first sample [m, m/s]."""
+        window = min(21, len(self.position) - (len(self.position) + 1) % 2)
+        near = self.position[: 2 * window]
+        place = savgol_filter(near, window, 2)[0]
+        speed = savgol_filter(near, window, 2, deriv=1, delta=self.period)[0]
+        return float(place), float(speed)
+
     def part(self, first: int, last: int) -> AxisRecording:
         """Return the samples from `first` up to `last`."""
-        return AxisRecording(self.command[first:last], self.position[first:last], self.period)
+        reference = None if self.reference is None else self.reference[first:last]
+        return AxisRecording(
+            self.command[first:last], self.position[first:last], self.period, reference
+        )
 
 
 @dataclass(frozen=True)
@@ -243,7 +257,7 @@ class AxisFit:
     model : AxisModel
         The model.
     structure : str
-        Of `STRUCTURES`, with what of `FURTHER` was worth it.
+        Of `STRUCTURES`.
     parameters : tuple of Parameter
         What was identified, with its uncertainty.
     rms : float
@@ -270,7 +284,20 @@ _Progress = Callable[[str, int, int], None]
 """Told what is fitted, how many fits are done, and how many there are."""
 
 
-def fit_axis(recordings: Sequence[AxisRecording], progress: _Progress | None = None) -> AxisFit:
+def late(recording: AxisRecording, delay: float) -> AxisRecording:
+    """Return a recording whose command is as late as it acts, by a dead time [s]."""
+    plain = AxisModel(
+        gain=1.0, viscous_forward=0.0, viscous_backward=0.0, coulomb=0.0, offset=0.0, delay=delay
+    )
+    return replace(recording, command=plain.acting(recording.command, recording.period))
+
+
+def fit_axis(
+    recordings: Sequence[AxisRecording],
+    progress: _Progress | None = None,
+    *,
+    gain: tuple[float, float] = (1e-4, 1e5),
+) -> AxisFit:
     """Identify an axis from recordings of its command and its position.
 
     Each structure is fitted on one half of the data and judged, open loop, on the other, both
@@ -281,8 +308,11 @@ def fit_axis(recordings: Sequence[AxisRecording], progress: _Progress | None = N
     ----------
     recordings : sequence of AxisRecording
         Recordings without gaps, each from where the axis stands or moves; one period for all.
+        Their commands act at once: see `late`.
     progress : callable, optional
         Told before each fit.
+    gain : tuple of float
+        Ends between which the gain is looked for [m/s^2 per unit of the command].
 
     Raises
     ------
@@ -290,21 +320,21 @@ def fit_axis(recordings: Sequence[AxisRecording], progress: _Progress | None = N
         If the data cannot tell an axis: too short, no motion, no command, or no motion that
         follows the command.
     """
-    _check(recordings)
+    check_recordings(recordings)
     halves = _halves(recordings)
-    plain = _inverse_dynamics(recordings)
+    plain = inverse_dynamics(recordings)
+    plain = replace(plain, gain=min(max(plain.gain, gain[0]), gain[1]))
     trials: dict[str, float] = {}
     starts: dict[str, AxisModel] = {}
-    structures = dict(STRUCTURES)
-    work = len(STRUCTURES) + len(FURTHER) + 1
+    work = len(STRUCTURES) + 1
 
     def worth(name: str, names: tuple[str, ...], than: str) -> bool:
         """Judge a structure on halves that its fit has not seen."""
         if progress is not None:
             progress(name, len(trials), work)
-        structures[name], errors = names, []
+        errors = []
         for train, judge in (halves, halves[::-1]):
-            starts[name] = _fit(_cut(train, _SHORT), plain, names)
+            starts[name] = _fit(_cut(train, _SHORT), plain, names, gain)
             errors += [_errors(starts[name], one) for one in _cut(judge, 2)]
         trials[name] = sqrt(float(np.mean([np.mean(error**2) for error in errors])))
         return not than or trials[name] < BETTER * trials[than]
@@ -312,16 +342,11 @@ def fit_axis(recordings: Sequence[AxisRecording], progress: _Progress | None = N
     chosen = ''
     for name, names in STRUCTURES.items():
         chosen = name if worth(name, names, chosen) else chosen
-    for word, parameter in FURTHER.items():
-        name = f'{chosen}, {word}'
-        if not worth(name, (*structures[chosen], parameter), chosen):
-            break
-        chosen = name
     if progress is not None:
         progress('all data', work - 1, work)
-    names = structures[chosen]
+    names = STRUCTURES[chosen]
     # Drift leaves many minima: the best of several beginnings is taken.
-    ends = [_fit_horizons(recordings, start, names) for start in (plain, starts[chosen])]
+    ends = [_fit_horizons(recordings, start, names, gain) for start in (plain, starts[chosen])]
     model = min(ends, key=lambda end: _misfit(recordings, end))
     residual = tuple(_errors(model, one) for one in recordings)
     return AxisFit(
@@ -336,7 +361,14 @@ def fit_axis(recordings: Sequence[AxisRecording], progress: _Progress | None = N
     )
 
 
-def _check(recordings: Sequence[AxisRecording]) -> None:
+def check_recordings(recordings: Sequence[AxisRecording]) -> None:
+    """Refuse recordings that cannot tell an axis.
+
+    Raises
+    ------
+    ValueError
+        If they are too short, have several periods, or nothing moves.
+    """
     if len({round(one.period * 1e9) for one in recordings}) > 1:
         raise ValueError('expected one period in all recordings but found several')
     total = sum(len(one.command) for one in recordings)
@@ -383,24 +415,21 @@ def _cut(recordings: Sequence[AxisRecording], count: int) -> list[AxisRecording]
     return found
 
 
-def _start(one: AxisRecording) -> tuple[float, float]:
-    """Return position and velocity at the first sample [m, m/s]."""
-    window = min(21, len(one.position) - (len(one.position) + 1) % 2)
-    near = one.position[: 2 * window]
-    place = savgol_filter(near, window, 2)[0]
-    speed = savgol_filter(near, window, 2, deriv=1, delta=one.period)[0]
-    return float(place), float(speed)
-
-
 def _errors(model: AxisModel, one: AxisRecording) -> Array:
     """Return measured less simulated position, open loop from the first sample on [m]."""
-    place, speed = _start(one)
+    place, speed = one.start
     return np.asarray(one.position - model.simulate(one.command, one.period, place, speed))
 
 
-def _inverse_dynamics(recordings: Sequence[AxisRecording]) -> AxisModel:
-    """Return a first model: forces explained by smoothed derivatives, by least squares."""
-    rows, targets = [], []
+def inverse_dynamics(recordings: Sequence[AxisRecording]) -> AxisModel:
+    """Return a first model: forces explained by smoothed derivatives, by least squares.
+
+    Raises
+    ------
+    ValueError
+        If a positive command does not drive to positive positions.
+    """
+    rows, targets, speeds = [], [], []
     for one in recordings:
         window = max(5, min(81, 2 * (len(one.position) // 20) + 1))
         speed = savgol_filter(one.position, window, 3, deriv=1, delta=one.period)
@@ -412,8 +441,15 @@ def _inverse_dynamics(recordings: Sequence[AxisRecording]) -> AxisModel:
             np.column_stack([command, -speed, -np.sign(speed), -np.ones(len(speed))])[moving]
         )
         targets.append(rise[moving])
+        speeds.append(speed[moving])
     found, *_ = np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=None)
     gain, viscous, coulomb, offset = found.tolist()
+    if gain <= 0.0:
+        # The flow of a valve, and a drive with a velocity loop, command the speed.
+        command, speed = np.concatenate(rows)[:, 0], np.concatenate(speeds)
+        if float(command @ speed) > _FOLLOWS * sqrt(float((command @ command) * (speed @ speed))):
+            gain = _SPEED_RATE * float(command @ speed) / float(command @ command)
+            viscous, coulomb, offset = _SPEED_RATE, 0.0, 0.0
     if gain <= 0.0:
         raise ValueError(
             'command: expected a positive command to drive to positive positions but found the '
@@ -426,8 +462,6 @@ def _inverse_dynamics(recordings: Sequence[AxisRecording]) -> AxisModel:
         viscous_backward=viscous,
         coulomb=coulomb,
         offset=offset,
-        delay=recordings[0].period,
-        drive_lag=recordings[0].period,
     )
 
 
@@ -460,28 +494,27 @@ def _model(point: Array, names: Sequence[str]) -> AxisModel:
     return AxisModel(**values)
 
 
-def _bounds(names: Sequence[str]) -> tuple[Array, Array]:
-    low = {'coulomb': 0.0, 'delay': 0.0, 'drive_lag': 0.0, 'offset': -inf}
-    high = {'coulomb': inf, 'delay': _DELAY_MAX, 'drive_lag': _DELAY_MAX, 'offset': inf}
+def _bounds(names: Sequence[str], gain: tuple[float, float]) -> tuple[Array, Array]:
+    low = {'coulomb': 0.0, 'offset': -inf, 'gain': log(gain[0])}
+    high = {'coulomb': inf, 'offset': inf, 'gain': log(gain[1])}
     return (
         np.array([low.get(name, log(1e-4)) for name in names]),
         np.array([high.get(name, log(1e5)) for name in names]),
     )
 
 
-def _steps(point: Array, names: Sequence[str], period: float) -> Array:
+def _steps(point: Array) -> Array:
     """Return steps of the numerical derivative: a share of what each parameter is."""
-    scale = {'delay': period, 'drive_lag': period}
-    return np.array(
-        [
-            1e-4 * scale.get(name, max(abs(value), 0.01))
-            for name, value in zip(names, point.tolist(), strict=True)
-        ]
-    )
+    return 1e-4 * np.maximum(np.abs(point), 0.01)
 
 
-def _fit(recordings: Sequence[AxisRecording], start: AxisModel, names: Sequence[str]) -> AxisModel:
-    low, high = _bounds(names)
+def _fit(
+    recordings: Sequence[AxisRecording],
+    start: AxisModel,
+    names: Sequence[str],
+    gain: tuple[float, float],
+) -> AxisModel:
+    low, high = _bounds(names, gain)
 
     def residual(point: Array) -> Array:
         model = _model(point, names)
@@ -490,19 +523,22 @@ def _fit(recordings: Sequence[AxisRecording], start: AxisModel, names: Sequence[
     def slope(point: Array) -> Array:
         return _slopes(recordings, point, names, 1e3)
 
-    begin = np.clip(_vector(start, names), low + 1e-6, high - 1e-6)
+    begin = np.clip(_vector(start, names), low + 1e-9, high - 1e-9)
     search: Any = least_squares
     found = search(residual, begin, slope, bounds=(low, high), x_scale='jac', max_nfev=10)
     return _model(found.x, names)
 
 
 def _fit_horizons(
-    recordings: Sequence[AxisRecording], start: AxisModel, names: Sequence[str]
+    recordings: Sequence[AxisRecording],
+    start: AxisModel,
+    names: Sequence[str],
+    gain: tuple[float, float],
 ) -> AxisModel:
     """Return the model that fits stretches of several lengths, each set by its own error."""
-    low, high = _bounds(names)
+    low, high = _bounds(names, gain)
     sets = [_cut(recordings, count) for count in _HORIZONS]
-    point = np.clip(_vector(start, names), low + 1e-6, high - 1e-6)
+    point = np.clip(_vector(start, names), low + 1e-9, high - 1e-9)
     for _ in range(2):
         shares = [_share(_model(point, names), parts) for parts in sets]
 
@@ -540,8 +576,7 @@ def _slopes(
     recordings: Sequence[AxisRecording], point: Array, names: Sequence[str], unit: float
 ) -> Array:
     """Return the derivative of the residuals by the parameters, shape (n, k)."""
-    _, high = _bounds(names)
-    steps = _steps(point, names, recordings[0].period)
+    steps = _steps(point)
 
     def errors(at: Array) -> Array:
         model = _model(at, names)
@@ -551,7 +586,7 @@ def _slopes(
     columns = []
     for index, step in enumerate(steps.tolist()):
         beside = point.copy()
-        beside[index] += step if point[index] + step <= high[index] else -step
+        beside[index] += step
         columns.append(unit * (errors(beside) - here) / (beside[index] - point[index]))
     return np.column_stack(columns)
 
@@ -576,7 +611,7 @@ def _parameters(
     for name, value, width in zip(names, point.tolist(), half.tolist(), strict=True):
         grown = name in ('gain', *_VISCOUS)
         low, centre, high = (
-            float(np.exp(end)) if grown else float(end)
+            float(np.exp(min(end, 50.0))) if grown else float(end)
             for end in (value - width, value, value + width)
         )
         found.append(Parameter(name, centre, low, high, _why_not(name, centre, low, high)))
@@ -589,11 +624,9 @@ def _why_not(name: str, value: float, low: float, high: float) -> str:
         'gain': 'moves with more acceleration',
         'coulomb': 'slow moves both ways',
         'offset': 'slow moves both ways',
-        'delay': 'steps of the command, or faster reversals',
-        'drive_lag': 'steps of the command, or faster reversals',
     }.get(name, 'longer stretches at different constant speeds')
     if name == 'offset':
         return ''  # 0 is as good an answer as any other
-    if not high < inf or low <= 0.0 or high - low > value:
+    if low <= 0.0 or high - low > value:
         return f'these data cannot tell it; {remedy} would'
     return ''

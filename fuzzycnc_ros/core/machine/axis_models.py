@@ -174,6 +174,22 @@ class BallscrewAxisConfig(PositionSensorConfig):
     drive_lag: float = param(
         0.0, 's', 'Time constant of the force after the voltage; 0 for none', low=0.0, high=0.1
     )
+    mode: float = param(
+        0.0,
+        'Hz',
+        'Frequency at which the axis swings on its spring; 0 for none',
+        low=0.0,
+        high=1e4,
+    )
+    mode_damping: float = param(0.05, '-', 'Damping of that mode', low=1e-4, high=1.0)
+    mode_ratio: float = param(
+        1.0,
+        '-',
+        'Response far above the mode over that far below: 0 where the sensor is behind the '
+        'spring, above 1 where it is at the motor',
+        low=0.0,
+        high=100.0,
+    )
     mass_factor: float = param(
         1.0, '-', 'What the mass has changed by against the nominal one', low=0.01, high=100.0
     )

@@ -16,6 +16,7 @@ from typing import Any
 
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
+from fuzzycnc_ros.core.machine.knowledge import AxisKnowledge
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 
 PlantConfig = LatheAxisConfig | BallscrewAxisConfig
@@ -28,6 +29,9 @@ PLANTS: Mapping[str, type[LatheAxisConfig] | type[BallscrewAxisConfig]] = Mappin
 
 LINEAR_AXES = 'XYZ'
 """Axes of a tool path."""
+
+NOTHING_KNOWN = AxisKnowledge()
+"""Knowledge of an axis that was not identified."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +66,9 @@ class AxisLimits(Config):
         'Lowest resonance, of which controllers stay well below; 0 if none is known',
         low=0.0,
         high=1e4,
+    )
+    vertical: bool = param(
+        False, '-', 'Whether its own weight pulls the axis: it drops where the drive gives way'
     )
     load: float = param(
         0.12, '-', 'Largest steady load either way, as share of full duty', low=0.0, high=1.0
@@ -122,6 +129,8 @@ class AxisData:
         What it is allowed.
     plant : LatheAxisConfig or BallscrewAxisConfig or None
         Its model, sensor included; None where only its limits are known.
+    knowledge : AxisKnowledge
+        How well the model is known.
     controller : str
         Position controller that it is used with; empty for the default.
     settings : mapping of str to float
@@ -130,6 +139,7 @@ class AxisData:
 
     limits: AxisLimits = AxisLimits()
     plant: PlantConfig | None = None
+    knowledge: AxisKnowledge = NOTHING_KNOWN
     controller: str = ''
     settings: Mapping[str, float] = field(default_factory=dict)
 
@@ -144,12 +154,17 @@ class AxisData:
         Raises
         ------
         ValueError
-            If only the limits of the axis are known.
+            If only the limits of the axis are known, or its model is not fit for control.
         """
         if self.plant is None:
             raise ValueError(
                 'plant: expected a model of the axis but found its limits alone; '
                 '`fuzzycnc machine identify` finds one from a recording'
+            )
+        if self.knowledge.not_fit_for_control:
+            raise ValueError(
+                'plant: expected a model that is fit for control but found one that is not: '
+                f'{self.knowledge.not_fit_for_control}'
             )
         return self.plant
 
@@ -300,7 +315,11 @@ def parse_axis_texts(name: str, texts: Iterable[str]) -> dict[str, AxisData]:
 def _entries(data: AxisData) -> Iterator[tuple[str, Any]]:
     """Yield what is to be said of an axis, by name."""
     yield 'model', data.model or NO_MODEL
-    sections: dict[str, Config | None] = {'limits': data.limits, 'plant': data.plant}
+    sections: dict[str, Config | None] = {
+        'limits': data.limits,
+        'plant': data.plant,
+        'knowledge': data.knowledge,
+    }
     for section, config in sections.items():
         for item in fields(config) if config is not None else ():
             value = getattr(config, item.name)
@@ -319,7 +338,7 @@ def _axis_data(place: str, entries: Mapping[str, str]) -> AxisData:
         raise ValueError(
             f'{place}:model: expected one of {", ".join(PLANTS)}, {NO_MODEL} but found {model!r}'
         )
-    kinds: dict[str, type[Config]] = {'limits': AxisLimits}
+    kinds: dict[str, type[Config]] = {'limits': AxisLimits, 'knowledge': AxisKnowledge}
     if model in PLANTS:
         kinds['plant'] = PLANTS[model]
     defaults = {
@@ -343,6 +362,7 @@ def _axis_data(place: str, entries: Mapping[str, str]) -> AxisData:
         return AxisData(
             limits=AxisLimits(**values['limits']),
             plant=PLANTS[model](**values['plant']) if model in PLANTS else None,
+            knowledge=AxisKnowledge(**values['knowledge']),
             controller=entries.get('controller', ''),
             settings=settings,
         )
@@ -352,6 +372,10 @@ def _axis_data(place: str, entries: Mapping[str, str]) -> AxisData:
 
 def _value(place: str, text: str, default: Any) -> Any:
     """Return a value in the type of its default."""
+    if isinstance(default, bool):
+        if text not in ('True', 'False'):
+            raise ValueError(f'{place}: expected True or False but found {text!r}')
+        return text == 'True'
     try:
         return type(default)(text)
     except ValueError:

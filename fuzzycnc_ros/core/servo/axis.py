@@ -138,7 +138,7 @@ class LinearAxis:
         whole = np.zeros((size + 2, size + 2))
         whole[:size, :size] = self.a
         whole[:size, size], whole[:size, size + 1] = self.b, self.disturbance
-        held = _exponential(whole * self.period)
+        held = exponential(whole * self.period)
         return held[:size, :size], held[:size, size], held[:size, size + 1]
 
 
@@ -146,7 +146,7 @@ _TERMS = 20
 """Terms of the series, of which the last is below 1e-24 for a matrix of half."""
 
 
-def _exponential(matrix: Array) -> Array:
+def exponential(matrix: Array) -> Array:
     """Return the exponential of a matrix: of a small part by its series, squared up again."""
     halvings = max(0, frexp(float(np.abs(matrix).sum(axis=1).max()))[1] + 1)
     part = np.ldexp(matrix, -halvings)

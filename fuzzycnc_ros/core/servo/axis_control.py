@@ -35,7 +35,7 @@ from fuzzycnc_ros.core.servo.variable_universe import (
 
 SETTINGS: Mapping[str, tuple[float, float, float]] = MappingProxyType(
     {
-        'bandwidth': (0.25, 12.0, 2.0),
+        'bandwidth': (0.01, 12.0, 2.0),
         'damping': (0.5, 2.5, 1.0),
         'estimator': (0.2, 8.0, 3.0),
     }
@@ -46,6 +46,9 @@ SETTINGS: Mapping[str, tuple[float, float, float]] = MappingProxyType(
 its damping.  `estimator`: natural frequency of the disturbance observer over the bandwidth; of the
 PID, three times the rate at which its integral acts over the bandwidth.
 """
+
+_SLOWEST = 0.25
+"""Lowest bandwidth that is searched on an axis of which no more than a model is known [-]."""
 
 _FRICTION = (0.0, 1.0, 1.0)
 """Likewise of `friction`: share of the known Coulomb friction that is fed forward [-]."""
@@ -68,8 +71,9 @@ _ELASTIC = 4.0
 """By how much more than its rigid model an elastic axis may accelerate [-]."""
 
 
-_BELOW_RESONANCE = 20.0
-"""By how much the loop has to stay below a resonance [-].
+_BELOW_RESONANCE, _BELOW_UNKNOWN = 20.0, 10.0
+"""By how much an untuned loop stays below a resonance, and below where an unknown one may begin
+[-].
 
 Of twelve axes with two masses, drawn at random (40 to 300 Hz, damping 3 to 10 %, dead times to
 2 ms, gains from half to twice), none swung with 20, three of 36 cases did with 16, 16 with 10.
@@ -170,6 +174,8 @@ def make_axis_controller(
             f'{WITH_RULES}'
         )
     axis, common = _common(data, known['friction'])
+    if not (data.knowledge.known_to and 'bandwidth' in (own if settings is None else settings)):
+        known |= _below_resonance(data, axis, known)
     fit = CONTROLLERS[chosen].fit
     assert fit is not None
     options = fit(data, axis, known)
@@ -225,10 +231,14 @@ def setting_ranges(
     found: dict[str, tuple[float, float, float]] = {}
     for key in search:
         if key in SETTINGS:
-            found[key] = SETTINGS[key]
+            low, high, untuned = SETTINGS[key]
+            if key == 'bandwidth' and not data.knowledge.known_to:
+                low = _SLOWEST
+            found[key] = low, high, untuned
             continue
         _checked(name, {key: 1.0})
-        options = _universes(data, data.known_plant().linear(), plain)
+        axis = data.known_plant().linear()
+        options = _universes(data, axis, plain | _below_resonance(data, axis, plain))
         value = options['noise' if key == DISTURBANCE else 'params']
         untuned = float(getattr(value, key))
         most = 1.0 if key.endswith('exponent') else 3.0 * untuned
@@ -237,7 +247,7 @@ def setting_ranges(
 
 
 def _universes(data: AxisData, axis: LinearAxis, settings: Mapping[str, float]) -> Options:
-    bandwidth, observer = _bandwidths(data, axis, settings)
+    bandwidth, observer = _bandwidths(axis, settings)
     plant = data.known_plant()
     return {
         'params': VariableUniverseParams.for_axis(
@@ -250,7 +260,7 @@ def _universes(data: AxisData, axis: LinearAxis, settings: Mapping[str, float]) 
 
 
 def _cascade(data: AxisData, axis: LinearAxis, settings: Mapping[str, float]) -> Options:
-    bandwidth, observer = _bandwidths(data, axis, settings)
+    bandwidth, observer = _bandwidths(axis, settings)
     damping = _damping(axis, bandwidth, settings)
     return {
         'position_gain': 0.5 * bandwidth / damping,
@@ -261,7 +271,7 @@ def _cascade(data: AxisData, axis: LinearAxis, settings: Mapping[str, float]) ->
 
 
 def _pid(data: AxisData, axis: LinearAxis, settings: Mapping[str, float]) -> Options:
-    bandwidth, estimator = _bandwidths(data, axis, settings)
+    bandwidth, estimator = _bandwidths(axis, settings)
     lag, gain = velocity_lag(axis), abs(axis.gain)
     proportional = bandwidth * bandwidth * lag / gain
     sensor = axis.states.index('sensor') if 'sensor' in axis.states else None
@@ -357,21 +367,40 @@ def _common(data: AxisData, friction: float) -> tuple[LinearAxis, Options]:
         'duty_max': plant.duty_max,
         'limits': limits,
         'friction': (friction * forward, friction * backward),
+        'keeps_gain': data.limits.vertical,
     }
 
 
-def _bandwidths(
+def untuned_settings(data: AxisData) -> dict[str, float]:
+    """Return the settings that an axis has without tuning, below a resonance."""
+    plain = {key: value for key, (_, _, value) in SETTINGS.items()}
+    return plain | _below_resonance(data, data.known_plant().linear(), plain)
+
+
+def _below_resonance(
     data: AxisData, axis: LinearAxis, settings: Mapping[str, float]
-) -> tuple[float, float]:
-    """Return the natural frequencies of loop and observer, below a resonance [rad/s]."""
-    bandwidth = settings['bandwidth'] * default_crossover(axis)
-    observer = settings['estimator'] * bandwidth
+) -> dict[str, float]:
+    """Return bandwidth and estimator that stay well below a resonance, known or not."""
+    known = data.knowledge
+    most = inf
     if data.limits.resonance:
         most = 2.0 * pi * data.limits.resonance / _BELOW_RESONANCE
-        # What is damped more acts as fast as the damping says.
-        bandwidth = min(bandwidth, most / max(settings['damping'], 1.0))
-        observer = min(observer, 3.0 * most)
-    return bandwidth, observer
+    elif known.known_to and not known.mode_high:
+        most = 2.0 * pi * known.mode_low / _BELOW_UNKNOWN
+    unit = default_crossover(axis)
+    wanted = settings['bandwidth'] * unit
+    # What is damped more acts as fast as the damping says.
+    bandwidth = min(wanted, most / max(settings['damping'], 1.0))
+    observer = min(settings['estimator'] * wanted, 3.0 * most)
+    if bandwidth == wanted and observer == settings['estimator'] * wanted:
+        return {}
+    return {'bandwidth': bandwidth / unit, 'estimator': observer / bandwidth}
+
+
+def _bandwidths(axis: LinearAxis, settings: Mapping[str, float]) -> tuple[float, float]:
+    """Return the natural frequencies of loop and observer [rad/s]."""
+    bandwidth = settings['bandwidth'] * default_crossover(axis)
+    return bandwidth, settings['estimator'] * bandwidth
 
 
 def _damping(axis: LinearAxis, bandwidth: float, settings: Mapping[str, float]) -> float:

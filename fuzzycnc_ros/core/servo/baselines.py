@@ -13,10 +13,11 @@ from __future__ import annotations
 from math import isfinite
 from typing import Any
 
+from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.core.servo.controller import AxisController, ControllerStatus
-from fuzzycnc_ros.core.servo.filtered_rate import STILL, FilteredRate, Integrator
-from fuzzycnc_ros.core.servo.observer import DisturbanceObserver, ObserverNoise
+from fuzzycnc_ros.core.servo.filtered_rate import STILL, FilteredRate, Integrator, differenced_law
+from fuzzycnc_ros.core.servo.observer import DisturbanceObserver, ObserverNoise, observed_law
 
 
 class PidController(AxisController):
@@ -79,6 +80,12 @@ class PidController(AxisController):
         self._per_velocity = 1.0 / axis.gain if feedforward else 0.0
         self._per_acceleration = axis.lag * self._per_velocity
         self._error = self._error_rate = 0.0
+
+    def feedback_law(self) -> tuple[Array, Array, Array, float]:
+        """Return the law from reading to duty; see `AxisController`."""
+        return differenced_law(
+            self._rate, self._integral, self._proportional, self._derivative, self.period
+        )
 
     @property
     def status(self) -> ControllerStatus:
@@ -160,6 +167,12 @@ class CascadeController(AxisController):
         self._per_acceleration = axis.lag / axis.gain
         self._observer = DisturbanceObserver(axis, noise)
         self._error = self._error_rate = 0.0
+
+    def feedback_law(self) -> tuple[Array, Array, Array, float]:
+        """Return the law from reading to duty; see `AxisController`."""
+        rate_gain = self._inner
+        error_gain = self._position_gain * (self._inner + self._per_velocity)
+        return observed_law(self._observer.design, error_gain, rate_gain)
 
     @property
     def status(self) -> ControllerStatus:

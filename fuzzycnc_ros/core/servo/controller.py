@@ -8,9 +8,46 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from math import inf, isfinite, nan
 
+import numpy as np
+
+from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits, FeedbackWatch
 from fuzzycnc_ros.core.servo.friction import ReferenceFriction
+
+_TAKEN_BACK, _LEAST = 0.5, 0.2
+"""Share of the gain that a loop which is unstable goes on with, and what it has to have left
+before
+the last such step [-]."""
+
+
+def closed_loop(
+    dynamics: Array, duty: Array, reading: Array, law: tuple[Array, Array, Array, float]
+) -> Array:
+    """Return the transition of an axis and of the law that closes its loop.
+
+    Parameters
+    ----------
+    dynamics : ndarray, shape (n, n)
+        Transition of the axis in a period.
+    duty, reading : ndarray, shape (n,)
+        What a duty adds to its states, and the row of its reading.
+    law : tuple
+        As `AxisController.feedback_law` returns it, with k states.
+
+    Returns
+    -------
+    ndarray, shape (n + k, n + k)
+        Transition of both.
+    """
+    inner, entry, row, direct = law
+    size = len(dynamics)
+    whole = np.empty((size + len(inner), size + len(inner)))
+    whole[:size, :size] = dynamics + direct * np.outer(duty, reading)
+    whole[:size, size:] = np.outer(duty, row)
+    whole[size:, :size] = np.outer(entry, reading)
+    whole[size:, size:] = inner
+    return whole
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +115,9 @@ class AxisController(ABC):
     friction : tuple of float
         Duty [-] that Coulomb friction takes in positive and in negative motion, not negative; it
         is fed forward.
+    keeps_gain : bool
+        Whether a swing that grows is a fault at once, as on a vertical axis, which less gain would
+        drop; else gain is taken back where less of it is stable.
 
     Raises
     ------
@@ -93,6 +133,7 @@ class AxisController(ABC):
         duty_slew: float = inf,
         limits: FeedbackLimits | None = None,
         friction: tuple[float, float] = (0.0, 0.0),
+        keeps_gain: bool = False,
     ) -> None:
         if not 0.0 < duty_max <= 1.0:
             raise ValueError(f'duty_max: expected more than 0, at most 1, but found {duty_max}')
@@ -113,9 +154,16 @@ class AxisController(ABC):
             abs(axis.gain),
             duty_max,
         )
+        self._keeps_gain = keeps_gain
+        self._share = 1.0  # of the gain
         self._duty = 0.0
         self._saturated = False
         self._at: float | None = None
+
+    @property
+    def taken_back(self) -> bool:
+        """Whether gain was taken back since the reset, as the loop was unstable."""
+        return self._share < 1.0
 
     def reset(self, position: float | None = None, duty: float = 0.0) -> None:
         """Start anew and clear faults.
@@ -137,6 +185,7 @@ class AxisController(ABC):
             raise ValueError(f'reset: expected finite numbers but found {position} m and {duty}')
         self._duty = min(max(duty, -self.duty_max), self.duty_max)
         self._saturated = False
+        self._share = 1.0
         self._at = position
         self.watch.reset(position)
         if position is not None:
@@ -178,6 +227,10 @@ class AxisController(ABC):
         if self._at is None:
             self._at = position
             self._begin(position)
+        if watch.swing.grows or (self._share < 1.0 and watch.swing.lasts):
+            self._take_back()
+        if self._share < 1.0:  # as on an axis of less gain
+            position = reference - self._share * (reference - position)
         wanted = self._wanted(reference, position, velocity, acceleration)
         top = self.duty_max
         duty = top if wanted > top else -top if wanted < -top else wanted
@@ -201,6 +254,39 @@ class AxisController(ABC):
         if self._known is not None:
             self._known.reset()
         self._restart(position, self._duty)
+
+    def _take_back(self) -> None:
+        """Take gain back where less of it is stable; else give up."""
+        swing = self.watch.swing
+        less = _TAKEN_BACK * self._share
+        if self._keeps_gain or self._share < _LEAST or not self._settles(less):
+            self.watch.give_up_unstable()
+            return
+        self._share = less
+        swing.start_over()
+
+    def _settles(self, share: float) -> bool:
+        """Whether the loop with the nominal axis is stable at a share of its gain.
+
+        One with an integral that is fast for its bandwidth is not, however little is left.
+        """
+        dynamics, duty, _ = self.axis.discrete()
+        whole = closed_loop(dynamics, duty, share * self.axis.c, self.feedback_law())
+        return float(np.abs(np.linalg.eigvals(whole)).max()) < 1.0 + 1e-9
+
+    @abstractmethod
+    def feedback_law(self) -> tuple[Array, Array, Array, float]:
+        """Return the law from reading to duty near the target, where it is linear.
+
+        Returns
+        -------
+        inner : ndarray, shape (k, k)
+            Transition of the law's own states in a period.
+        entry, row : ndarray, shape (k,)
+            What a reading adds to them, and what duty they give.
+        direct : float
+            Duty that a reading gives at once [1/m].
+        """
 
     @property
     @abstractmethod

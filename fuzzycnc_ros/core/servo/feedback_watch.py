@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from math import gcd, inf, isfinite
 
 from fuzzycnc_ros.core.servo.axis import LinearAxis, response_lag, velocity_lag
+from fuzzycnc_ros.core.servo.growing_swing import GrowingSwing
 
 _INCREMENTS = 32
 """Changes of the reading after which their common divisor is judged."""
@@ -39,8 +40,11 @@ _SWINGS, _SWINGS_BEFORE_LOSS = 8, 2
 what a reading that jumps is put down to."""
 
 
-SWINGING = 'the loop swings from end to end of its duty: its gains are too high for this axis'
-"""Fault of a loop that is not stable."""
+SWINGING = 'the loop swings, it is unstable: its gains are too high for this axis'
+"""Fault of a loop that is not stable; followed by how it swings."""
+
+_SEEN = 10.0
+"""Counts, and multiples of the noise, from which on an error swings with the loop [-]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,6 +157,8 @@ class FeedbackWatch:
         Bad readings since the reset.
     fault : str
         Why the controller has given up; empty while it has not.
+    swing : GrowingSwing
+        Oscillation of the error that grows.
     """
 
     def __init__(
@@ -164,7 +170,9 @@ class FeedbackWatch:
         duty_max: float = 1.0,
     ) -> None:
         self.limits = limits
+        self.swing = GrowingSwing(period, max(_SEEN * limits.count, _SEEN * limits.noise, 2e-6))
         self._full = _FULL * duty_max
+        self._period = period
         self._swing_periods = round(_SWING_TIME / period)
         self._jump = (
             limits.acceleration_max * (period * period) + 4.0 * limits.count + 12.0 * limits.noise
@@ -186,7 +194,8 @@ class FeedbackWatch:
         self._gap = 0
         self._slope = self._speed = self._duty = 0.0
         self._against = 0
-        self._swings = self._since_end = 0
+        self._swings = self._since_end = self._between_ends = 0
+        self.swing.reset()
         self._end = 0  # at which end of its range the duty was last
         self._fresh = 2  # readings
         self._restart_divisor()
@@ -240,6 +249,7 @@ class FeedbackWatch:
         self.bad = self._gap = 0
         if self._per_count and not gap and (change or surprise):
             self._count(change * self._per_count, round(surprise * self._per_count))
+        self.swing.add(error, reference)
         self._follow(change)
         return not self.fault
 
@@ -254,8 +264,9 @@ class FeedbackWatch:
             return
         if end == -self._end:
             self._swings = self._swings + 1 if self._since_end <= self._swing_periods else 0
+            self._between_ends = self._since_end
             if self._swings >= _SWINGS:
-                self.fault = SWINGING
+                self.fault = self._unstable()
         self._end, self._since_end = end, 0
 
     def _still_off(self, position: float) -> bool:
@@ -273,8 +284,25 @@ class FeedbackWatch:
             self._last += self._slope
         if self.bad > self.limits.bad_max:
             # An axis that is thrown from end to end jumps with all its counts.
-            self.fault = SWINGING if self._swings >= _SWINGS_BEFORE_LOSS else reason
+            self.fault = self._unstable() if self._swings_already else reason
         return False
+
+    def give_up_unstable(self) -> None:
+        """Give up, as the loop is unstable."""
+        self.fault = self._unstable()
+
+    @property
+    def _swings_already(self) -> bool:
+        """Whether the loop was seen to be unstable, of which other symptoms follow."""
+        return self.swing.frequency > 0.0 or self._swings >= _SWINGS_BEFORE_LOSS
+
+    def _unstable(self) -> str:
+        """Return the fault of an unstable loop, with its frequency."""
+        swing = self.swing
+        if swing.frequency:
+            return f'{SWINGING} ({swing.frequency:.3g} Hz, grew by {swing.rate:.2g} 1/s)'
+        frequency = 0.5 / (self._between_ends * self._period)
+        return f'{SWINGING} (from end to end of its duty at {frequency:.3g} Hz)'
 
     def _follow(self, change: float) -> None:
         """Judge whether the axis gains speed against the duty that it answers to."""
@@ -290,7 +318,11 @@ class FeedbackWatch:
             against = False
         self._against = self._against + 1 if against else 0
         if self._against >= self.limits.runaway_periods:
-            self.fault = 'axis runs away against its duty: wrong sign or load'
+            self.fault = (
+                self._unstable()
+                if self._swings_already
+                else 'axis runs away against its duty: wrong sign or load'
+            )
 
     def _count(self, counts: float, bend: int) -> None:
         """Judge whether the reading still moves in single counts.

@@ -6,7 +6,10 @@ from __future__ import annotations
 
 from math import inf, isfinite
 
+import numpy as np
+
 from fuzzycnc_ros.core import portable
+from fuzzycnc_ros.core.arrays import Array
 
 STILL = 2e-3
 """Speed up to which an axis off its target counts as stuck [m/s]: three counts per period."""
@@ -121,3 +124,27 @@ class Integrator:
         growth = self.gain * error
         if not saturated or growth * duty < 0.0:
             self.value += growth
+
+
+def differenced_law(
+    rate: FilteredRate, integral: Integrator, error_gain: float, rate_gain: float, period: float
+) -> tuple[Array, Array, Array, float]:
+    """Return the law of a filtered rate and an integral; see `AxisController.feedback_law`.
+
+    Parameters
+    ----------
+    rate, integral
+        What the controller has; dead zone and band of the integral are left out.
+    error_gain, rate_gain : float
+        Duty per error [1/m] and error rate [s/m], with the sign of the axis.
+    period : float
+        Control period [s].
+    """
+    # states: last reading, filtered rate, integral
+    share, grow = rate.share, integral.gain
+    fast = share / period
+    inner = np.array([[0.0, 0.0, 0.0], [-fast, 1.0 - share, 0.0], [0.0, 0.0, 1.0]])
+    row = np.array([rate_gain * fast, -rate_gain * (1.0 - share), 1.0])
+    entry, direct = np.array([1.0, fast, -grow]), -error_gain - rate_gain * fast
+    kept = 3 if grow else 2
+    return inner[:kept, :kept], entry[:kept], row[:kept], direct

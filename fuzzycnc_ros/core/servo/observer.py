@@ -351,6 +351,24 @@ def _prediction_covariance(dynamics: Array, reading: Array, wander: Array) -> Ar
     return covariance
 
 
+def observed_law(
+    design: ObserverDesign, error_gain: float, rate_gain: float
+) -> tuple[Array, Array, Array, float]:
+    """Return the law of gains on an observer's states; see `AxisController.feedback_law`.
+
+    Parameters
+    ----------
+    design : ObserverDesign
+        The observer.
+    error_gain, rate_gain : float
+        Duty per error [1/m] and error rate [s/m], with the sign of the axis.
+    """
+    row = np.zeros(len(design.duty))
+    row[design.position], row[design.velocity], row[-1] = -error_gain, -rate_gain, 1.0
+    inner = design.dynamics - np.outer(design.gain, design.reading)
+    return inner + np.outer(design.duty, row), design.gain, row, 0.0
+
+
 class DisturbanceObserver:
     """Running predictor; `position`, `velocity` and `disturbance` hold at the next reading.
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.servo.axis import LinearAxis
+from fuzzycnc_ros.core.servo.controller import closed_loop
 from fuzzycnc_ros.core.servo.params import ultimate_gain
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 
@@ -161,13 +162,7 @@ def _eigenvalues(
     """Return the eigenvalues of the sampled loop with linear gains."""
     axis = _changed(controller.axis, factor)
     dynamics, duty, _ = axis.discrete()
-    inner, entry, row, direct = controller.linear_law(error_gain, rate_gain)
-    size = len(dynamics)
-    whole = np.empty((size + len(inner), size + len(inner)))
-    whole[:size, :size] = dynamics + direct * np.outer(duty, axis.c)
-    whole[:size, size:] = np.outer(duty, row)
-    whole[size:, :size] = np.outer(entry, axis.c)
-    whole[size:, size:] = inner
+    whole = closed_loop(dynamics, duty, axis.c, controller.linear_law(error_gain, rate_gain))
     return np.asarray(np.linalg.eigvals(whole))
 
 

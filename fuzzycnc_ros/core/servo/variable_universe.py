@@ -22,9 +22,9 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.core.servo.controller import AxisController, ControllerStatus
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
-from fuzzycnc_ros.core.servo.filtered_rate import STILL, FilteredRate, Integrator
+from fuzzycnc_ros.core.servo.filtered_rate import STILL, FilteredRate, Integrator, differenced_law
 from fuzzycnc_ros.core.servo.friction import MovingDisturbance
-from fuzzycnc_ros.core.servo.observer import DisturbanceObserver, ObserverNoise
+from fuzzycnc_ros.core.servo.observer import DisturbanceObserver, ObserverNoise, observed_law
 from fuzzycnc_ros.core.servo.params import VariableUniverseParams, default_crossover
 from fuzzycnc_ros.core.servo.stick_slip import StickSlipParams, StickSlipRelief
 
@@ -389,6 +389,10 @@ class VariableUniverseController(AxisController):
         place, speed, disturbance = np.array(rows).T
         return place, speed, disturbance
 
+    def feedback_law(self) -> tuple[Array, Array, Array, float]:
+        """Return the law near the target; see `AxisController`."""
+        return self.linear_law(self.params.error_gain, self.params.rate_gain)
+
     def linear_law(self, error_gain: float, rate_gain: float) -> tuple[Array, Array, Array, float]:
         """Return the law from reading to duty with linear gains instead of the rules.
 
@@ -408,19 +412,8 @@ class VariableUniverseController(AxisController):
         """
         error_gain, rate_gain = self._direction * error_gain, self._direction * rate_gain
         if self._observer is not None:
-            design = self._observer.design
-            row = np.zeros(len(design.duty))
-            row[design.position], row[design.velocity], row[-1] = -error_gain, -rate_gain, 1.0
-            inner = design.dynamics - np.outer(design.gain, design.reading)
-            return inner + np.outer(design.duty, row), design.gain, row, 0.0
-        # states: last reading, filtered rate, integral
-        share, grow = self._rate.share, self._integral.gain
-        fast = share / self.period
-        inner = np.array([[0.0, 0.0, 0.0], [-fast, 1.0 - share, 0.0], [0.0, 0.0, 1.0]])
-        row = np.array([rate_gain * fast, -rate_gain * (1.0 - share), 1.0])
-        entry, direct = np.array([1.0, fast, -grow]), -error_gain - rate_gain * fast
-        kept = 3 if grow else 2
-        return inner[:kept, :kept], entry[:kept], row[:kept], direct
+            return observed_law(self._observer.design, error_gain, rate_gain)
+        return differenced_law(self._rate, self._integral, error_gain, rate_gain, self.period)
 
     def contracted(self, error: ArrayLike, rate: ArrayLike) -> tuple[Array, Array]:
         """Return errors [m] and error rates [m/s] on their contracted universes [-]."""

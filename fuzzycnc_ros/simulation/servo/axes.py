@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import fields, replace
-from math import copysign, inf, isfinite, nan, pi
+from math import copysign, inf, isfinite, nan, pi, sqrt
 from typing import Any
 
 import numpy as np
@@ -424,6 +424,45 @@ def substep_shares(config: LatheAxisConfig) -> tuple[float, float, float, float]
     )
 
 
+class ModalSwing:
+    """Swing of an axis on its spring as it is read, beside the motion of the rigid axis.
+
+    Parameters
+    ----------
+    config : BallscrewAxisConfig
+        Frequency, damping and ratio of the mode.
+
+    Attributes
+    ----------
+    position : float
+        What it adds to the reading [m].
+    """
+
+    def __init__(self, config: BallscrewAxisConfig) -> None:
+        rate, period = 2.0 * pi * config.mode, config.period
+        decay = config.mode_damping * rate
+        damped = rate * sqrt(1.0 - config.mode_damping * config.mode_damping) or 1e-9
+        keep = portable.exp(-decay * period)
+        sine, cosine = portable.sin(damped * period), portable.cos(damped * period)
+        self._rows = (
+            (keep * (cosine + decay / damped * sine), keep * sine / damped),
+            (-keep * rate * rate / damped * sine, keep * (cosine - decay / damped * sine)),
+        )
+        push = (config.mode_ratio - 1.0) / period
+        self._entry = (
+            push * (1.0 - self._rows[0][0]) / (rate * rate),
+            push * self._rows[0][1],
+        )
+        self.position = self._rate = 0.0
+
+    def advance(self, change: float) -> None:
+        """Go on by a period in which the velocity of the rigid axis changes [m/s]."""
+        (a, b), (c, d) = self._rows
+        place, rate = self.position, self._rate
+        self.position = a * place + b * rate + self._entry[0] * change
+        self._rate = c * place + d * rate + self._entry[1] * change
+
+
 class BallscrewAxis(_Slide):
     """The EMPS axis; a duty of 1 is 10 V.
 
@@ -460,6 +499,7 @@ class BallscrewAxis(_Slide):
         self.config = config = config or BallscrewAxisConfig()
         super().__init__(config, position, velocity)
         self._drive = 0.0
+        self._mode = ModalSwing(config) if config.mode else None
         self._mass = config.mass * config.mass_factor
         factor = config.friction_factor
         # (sign of motion, viscous, Coulomb, breakaway)
@@ -471,9 +511,15 @@ class BallscrewAxis(_Slide):
             )
         )
 
+    @property
+    def position(self) -> float:
+        """True position [m], as far as the axis swings where it is read."""
+        return self._slide + (self._mode.position if self._mode is not None else 0.0)
+
     def measure(self) -> float:
         """Return the position as the sensor gives it now [m]; NaN while it gives none."""
-        return self._sensor.read(self._screw if self.config.sensor == 'encoder' else self._slide)
+        place = self._screw if self.config.sensor == 'encoder' else self._slide
+        return self._sensor.read(place + (self._mode.position if self._mode is not None else 0.0))
 
     def drive(self, duty: float) -> None:
         """Hold a duty [-] for one period; refuses one that is not finite."""
@@ -502,6 +548,8 @@ class BallscrewAxis(_Slide):
             self._move(steady * time + (velocity - steady) * lag * (1.0 - keep))
             velocity = 0.0 if time < left else steady + (velocity - steady) * keep
             left -= time
+        if self._mode is not None:
+            self._mode.advance(velocity - self._velocity)
         self._velocity = velocity
         self._step += 1
         self._sensor.advance()

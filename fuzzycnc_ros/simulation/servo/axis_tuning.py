@@ -12,11 +12,18 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import differential_evolution
+from scipy.stats import qmc
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
+from fuzzycnc_ros.core.identify.robustness import AxisModels, LoopMargin
+from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData
-from fuzzycnc_ros.core.servo.axis_control import SETTINGS, make_axis_controller, setting_ranges
+from fuzzycnc_ros.core.servo.axis_control import (
+    SETTINGS,
+    make_axis_controller,
+    setting_ranges,
+    untuned_settings,
+)
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning
 from fuzzycnc_ros.core.servo.profile import ProfileLimits, point_to_point
@@ -35,6 +42,9 @@ what swings there has no margin."""
 HELD_OUT_GAINS = (0.5, 0.62, 0.85, 1.2, 1.7, 2.0)
 """Factors on the gain on which it is judged."""
 
+KNOWN_GAIN_MAX = 1.5
+"""Largest factor on the gain of an axis that was identified."""
+
 PULSES = ((0.5, 1.0), (1.0, 0.8))
 """Pulses of load, on the way and at rest, for which an axis is tuned: share of the largest load,
 and factor on the gain.  A load that sets in at rest alone says little of how stiff the loop is: on
@@ -51,6 +61,21 @@ _EQUAL = 1.05
 
 _GIVEN_UP = 0.1
 """Error that a run counts which ends in a fault, as share of the axis' travel [-]."""
+
+_UNSURE = 0.3
+"""Share of a dead time that its interval may span [-]: more is what limits a loop."""
+
+_STEPS, _STEP = 12, 1.2
+"""Steps of the bandwidth, and their ratio, by which it is tried what knowing more would allow."""
+
+_UNSTABLE = 1e6
+"""Cost of a loop that is not stable over all that the axis may be [m]."""
+
+_SCANNED = 200
+"""Settings whose margin is worked out before the first is driven."""
+
+_STIFFER = 10
+"""Generations of the search for the stiffest settings that are stable."""
 
 _PER_FAULT = 100.0
 """Factor on the cost for each case that is given up [-]."""
@@ -132,6 +157,8 @@ class TunedController:
         Figures on cases that nothing was tuned on.
     held_out_cost : float
         Cost on these [m].
+    margin : LoopMargin or None
+        Distance of its loop from instability; None where nothing is known but a model.
     """
 
     name: str
@@ -140,6 +167,12 @@ class TunedController:
     trials: int
     held_out: tuple[AxisFigures, ...]
     held_out_cost: float
+    margin: LoopMargin | None = None
+
+    @property
+    def robust(self) -> bool:
+        """Whether its loop is stable over all that the axis may be, as far as that is known."""
+        return self.margin is None or self.margin.robust
 
     @property
     def error(self) -> float:
@@ -173,7 +206,7 @@ class AxisTuning:
     Attributes
     ----------
     controllers : tuple of TunedController
-        In the order of `AXIS_CONTROLLERS`, the simplest first.
+        In the order of `AXIS_CONTROLLERS`, the simplest first; those without tuning after them.
     held_out : tuple of AxisCase
         What they were judged on.
     """
@@ -184,7 +217,9 @@ class AxisTuning:
     @property
     def best(self) -> TunedController:
         """The one with the least cost on the held-out cases; of equal faults."""
-        return min(self.controllers, key=lambda one: (one.faults, one.held_out_cost))
+        return min(
+            self.controllers, key=lambda one: (not one.robust, one.faults, one.held_out_cost)
+        )
 
     @property
     def winner(self) -> TunedController:
@@ -193,12 +228,75 @@ class AxisTuning:
         return next(
             one
             for one in self.controllers
-            if one is best or (one.faults <= best.faults and one.against(best)[0] <= _EQUAL)
+            if one is best
+            or (
+                one.robust == best.robust
+                and one.faults <= best.faults
+                and one.against(best)[0] <= _EQUAL
+            )
         )
 
     def tuned(self, data: AxisData) -> AxisData:
-        """Return an axis with the controller that suits it and its settings."""
+        """Return an axis with the controller that suits it and its settings.
+
+        Raises
+        ------
+        ValueError
+            If no controller is stable over all that the axis may be.
+        """
+        if not self.winner.robust:
+            raise ValueError(
+                'expected a controller that is stable over all that the axis may be, at half to '
+                f'one and a half times its gain, but found none; {loop_limit(data, self.winner)}'
+            )
         return replace(data, controller=self.winner.name, settings=self.winner.settings)
+
+
+def loop_limit(data: AxisData, tuned: TunedController) -> str:
+    """Return in one line what bounds a loop, and what knowing more would allow.
+
+    Parameters
+    ----------
+    data : AxisData
+        The axis, identified.
+    tuned : TunedController
+        A controller with its margin.
+    """
+    known, plant = data.knowledge, data.known_plant()
+    assert tuned.margin is not None
+    delay, least = plant.delay, known.delay_low
+    if tuned.margin.frequency > known.known_to and not known.mode_high:
+        why = f'its response above {known.known_to:.3g} Hz is unknown'
+    elif delay - least > max(_UNSURE * delay, plant.period):
+        why = f'its dead time is unknown up to {1e3 * delay:.2g} ms'
+    elif isinstance(plant, BallscrewAxisConfig) and plant.mode:
+        why = f'its mode at {plant.mode:.3g} Hz'
+    else:
+        why = f'its dead time of {1e3 * delay:.2g} ms'
+    crossover = tuned.margin.crossover
+    text = f'{why}: crossover at most {crossover:.0f} rad/s'
+    nearer = replace(
+        known,
+        known_to=1e4,
+        mode_low=max(known.mode_low, 1e4) if not known.mode_high else known.mode_low,
+        remainder='',
+        gain_low=1.0,
+        gain_high=1.0,
+    )
+    better = replace(data, plant=replace(plant, delay=0.5 * (delay + least)), knowledge=nearer)
+    models, allowed = AxisModels(better), crossover
+    settings = dict(tuned.settings)
+    for _ in range(_STEPS):
+        settings['bandwidth'] = settings.get('bandwidth', 1.0) * _STEP
+        if settings['bandwidth'] > SETTINGS['bandwidth'][1]:
+            break
+        margin = models.margin(_made(better, tuned.name, settings))
+        if not margin.robust:
+            break
+        allowed = max(allowed, margin.crossover)
+    if allowed > 1.2 * crossover:
+        text += f'; a recording with a chirp (`fuzzycnc machine excite`) might allow {allowed:.0f}'
+    return text
 
 
 def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tuple[AxisCase, ...]:
@@ -214,7 +312,9 @@ def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tupl
         What the ways and loads are drawn from.
     """
     draw = np.random.default_rng([seed, int(held_out)])
-    gains = HELD_OUT_GAINS if held_out else GAINS
+    gains: tuple[float, ...] = HELD_OUT_GAINS if held_out else GAINS
+    if data.knowledge.known_to:  # what is identified is tuned for half to one and a half times
+        gains = tuple(min(gain, KNOWN_GAIN_MAX) for gain in gains)
     travel = data.limits.travel_high - data.limits.travel_low
     plant = data.known_plant()
     short = max(20.0 * plant.count, 2e-5)
@@ -245,7 +345,7 @@ def axis_cases(data: AxisData, *, held_out: bool = False, seed: int = 0) -> tupl
         )
         for index, (share, gain) in enumerate(pulses, len(cases))
     ]
-    if not held_out:
+    if not held_out and not data.knowledge.known_to:
         cases += [
             AxisCase(
                 way=0.3 * travel,
@@ -359,12 +459,18 @@ def tune_controller(
     """
     ranges = setting_ranges(data, name, search)
     cases = axis_cases(data, seed=seed)
+    models = AxisModels(data) if data.knowledge.known_to else None
     tried = done = 0
 
     def cost(point: Array) -> float:
         nonlocal tried
+        settings = _settings(ranges, point)
+        if models is not None:
+            shortfall = models.margin(_made(data, name, settings)).shortfall
+            if shortfall:
+                return _UNSTABLE * (1.0 + shortfall)
         tried += 1
-        return _cost(data, _figures_of(data, name, _settings(ranges, point), cases))
+        return _cost(data, _figures_of(data, name, settings, cases))
 
     def told(best: Array, convergence: float = 0.0) -> None:
         nonlocal done
@@ -373,20 +479,93 @@ def tune_controller(
             progress(done, generations)
 
     evolve: Any = differential_evolution
+    bounds = [(log(low), log(high)) for low, high, _ in ranges.values()]
+    given: dict[str, Any] = {'x0': [log(plain) for _, _, plain in ranges.values()]}
+    if models is not None:
+        given = {'init': _first_population(data, name, ranges, models, population, seed)}
     outcome = evolve(
         cost,
-        [(log(low), log(high)) for low, high, _ in ranges.values()],
+        bounds,
         maxiter=generations,
         popsize=population,
         seed=np.random.default_rng(seed),  # SciPy before 1.15 knows no other name
         polish=False,
         updating='deferred',
-        x0=[log(plain) for _, _, plain in ranges.values()],
         callback=told,
         tol=0.0,
+        **given,
     )
     judged = judged_controller(data, name, _settings(ranges, outcome.x), seed=seed)
     return replace(judged, cost=float(outcome.fun), trials=tried)
+
+
+def untuned_controllers(
+    data: AxisData, names: Sequence[str], *, seed: int = 0
+) -> tuple[TunedController, ...]:
+    """Return controllers of an axis with the settings that they have without tuning.
+
+    Parameters
+    ----------
+    data : AxisData
+        The axis, with a plant.
+    names : sequence of str
+        Of `AXIS_CONTROLLERS`.
+    seed : int
+        Seed of the cases that they are judged on.
+    """
+    settings = untuned_settings(data)
+    return tuple(judged_controller(data, name, settings, seed=seed) for name in names)
+
+
+def _made(data: AxisData, name: str, settings: Mapping[str, float]) -> AxisController:
+    with warnings.catch_warnings():
+        # What does not settle shows in its figures.
+        warnings.simplefilter('ignore', ServoParamsWarning)
+        return make_axis_controller(data, name, settings)
+
+
+def _first_population(
+    data: AxisData,
+    name: str,
+    ranges: Mapping[str, tuple[float, float, float]],
+    models: AxisModels,
+    population: int,
+    seed: int,
+) -> Array:
+    """Return the logarithms of settings to begin with: stiff ones that are stable.
+
+    Half of them are the stiffest of many that are drawn, half those to which a search for the
+    stiffest has come.
+    """
+    low, high = np.log(np.array([(low, high) for low, high, _ in ranges.values()])).T
+
+    def shortfall(point: Array) -> tuple[float, float]:
+        margin = models.margin(_made(data, name, _settings(ranges, point)), spread=False)
+        return margin.shortfall, margin.yielding
+
+    draw = qmc.LatinHypercube(len(ranges), seed=np.random.default_rng([seed, 1]))
+    points = low + (high - low) * draw.random(_SCANNED)
+    points = np.array(sorted(points, key=shortfall))
+    size = max(population * len(ranges), 6)
+
+    def gives(point: Array) -> float:
+        short, yielding = shortfall(point)
+        return log(yielding) + (_UNSTABLE * (1.0 + short) if short else 0.0)
+
+    evolve: Any = differential_evolution
+    stiffest = evolve(
+        gives,
+        list(zip(low, high, strict=True)),
+        init=points[:size],
+        maxiter=_STIFFER,
+        seed=np.random.default_rng([seed, 2]),
+        polish=False,
+        updating='deferred',
+        tol=0.0,
+    )
+    order = np.argsort(stiffest.population_energies)
+    best = stiffest.population[order[: (size + 1) // 2]]
+    return np.concatenate([best, points[: size - len(best)]])
 
 
 def judged_controller(
@@ -414,7 +593,10 @@ def judged_controller(
     """
     cases = axis_cases(data, held_out=True, seed=seed)
     figures = _figures_of(data, name, settings, cases, plant)
-    return TunedController(name, dict(settings), inf, 0, figures, _cost(data, figures))
+    margin = None
+    if data.knowledge.known_to:
+        margin = AxisModels(data).margin(_made(data, name, settings))
+    return TunedController(name, dict(settings), inf, 0, figures, _cost(data, figures), margin)
 
 
 def _figures_of(
@@ -440,11 +622,8 @@ def _figures_of(
         Makes the axis that is driven, by default the simulated one of the data.
     """
     made = plant or (lambda case: _simulated_case(data, case))
-    with warnings.catch_warnings():
-        # What does not settle shows in its figures.
-        warnings.simplefilter('ignore', ServoParamsWarning)
-        controller = make_axis_controller(data, name, settings)
-        return tuple(_drive_case(controller, made(case), data, case) for case in cases)
+    controller = _made(data, name, settings)
+    return tuple(_drive_case(controller, made(case), data, case) for case in cases)
 
 
 def _case_cost(data: AxisData, figures: AxisFigures) -> float:

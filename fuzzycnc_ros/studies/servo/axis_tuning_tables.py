@@ -43,13 +43,21 @@ def axis_tuning_table(found: AxisTuning, axis: str) -> Table:
         )
         ratio, spread = one.against(found.best)
         against = 'best' if one is found.best else f'x{ratio:.2f} ({spread:.2f})'
-        rows.append((LABELS[one.name], *figures, f'{one.faults} of {len(one.held_out)}', against))
+        if not one.robust:
+            against += ', no margin'
+        label = LABELS[one.name]
+        if found.controllers[0].trials and not one.trials:
+            label += ', untuned'
+        rows.append((label, *figures, f'{one.faults} of {len(one.held_out)}', against))
         if one.faults:
             warning.add((place, 4))
+        if not one.robust:
+            warning.add((place, 5))
     winner = found.controllers.index(found.winner)
     return Table(
         f'{axis}: medians of {len(found.held_out)} cases that nothing was tuned on, after '
-        f'{found.winner.trials} trials each; in parentheses the factor of one standard error',
+        f'{found.controllers[0].trials} trials each; in parentheses the factor of one standard '
+        'error',
         columns,
         tuple(rows),
         highlight=frozenset({winner}),
@@ -62,27 +70,28 @@ FIGURES = ('rms', 'largest', 'rest')
 
 
 def axis_tuning_remarks(found: AxisTuning) -> list[Remark]:
-    """Return which controller suits the axis, and by how much."""
+    """Return which controller is recommended on the axis, and by how much."""
     winner, best = found.winner, found.best
     others = [one for one in found.controllers if one is not winner]
-    nearest = min(others, key=lambda one: one.against(winner)[0])
+    nearest = min(others, key=lambda one: (not one.robust, one.against(winner)[0]))
     ratio, spread = nearest.against(winner)
-    lines = []
-    if winner is best:
+    told = f'recommended on your axis: {LABELS[winner.name]}'
+    if not winner.robust:
+        told = 'recommended on your axis: none, as none is stable over all that it may be'
+    elif winner is not best:
+        told += (
+            f'; {LABELS[best.name]} is no better by more than 5 %, and of equals the simpler one '
+            'is taken'
+        )
+    elif nearest.robust:
         apart = 'beyond chance' if ratio > spread**2 else 'not beyond chance'
-        lines.append(
-            Remark(
-                f'{LABELS[winner.name]} suits this axis: {LABELS[nearest.name]} comes next with '
-                f'{100.0 * (ratio - 1.0):.0f} % larger errors, {apart}'
-            )
+        told += (
+            f'; {LABELS[nearest.name]} comes next with {100.0 * (ratio - 1.0):.0f} % larger '
+            f'errors, {apart}'
         )
     else:
-        lines.append(
-            Remark(
-                f'{LABELS[winner.name]} suits this axis: {LABELS[best.name]} is no better by more '
-                'than 5 %, and of equals the simpler one is taken'
-            )
-        )
+        told += '; no other has a margin on what is unknown of the axis'
+    lines = [Remark(told, warning=not winner.robust)]
     lines.append(_fuzzy(found))
     if winner.faults:
         lines.append(
@@ -97,7 +106,9 @@ def axis_tuning_remarks(found: AxisTuning) -> list[Remark]:
 
 def _fuzzy(found: AxisTuning) -> Remark:
     """Return what the rules are worth beside their own tangent."""
-    one: dict[str, TunedController] = {item.name: item for item in found.controllers}
+    one: dict[str, TunedController] = {}
+    for item in found.controllers:
+        one.setdefault(item.name, item)
     ratio, spread = one['linear_tangent'].against(one['variable_universe'])
     if max(ratio, 1.0 / ratio) <= spread**2:
         return Remark('the rules and their linear tangent are equal here, but for chance')

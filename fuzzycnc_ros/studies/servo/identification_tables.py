@@ -13,8 +13,7 @@ from fuzzycnc_ros.studies.page.html import Remark
 from fuzzycnc_ros.studies.page.table import Column, Table
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.core.identify.axis_fit import AxisFit
-    from fuzzycnc_ros.core.identify.frequency import FrequencyResponse
+    from fuzzycnc_ros.core.identify.axis_data import IdentifiedAxis
     from fuzzycnc_ros.core.identify.loop_fit import LoopFit
 
 _MEANING = {
@@ -25,16 +24,13 @@ _MEANING = {
     'coulomb': ('Coulomb friction over mass', 'm/s²', 1.0),
     'offset': ('steady deceleration', 'm/s²', 1.0),
     'delay': ('dead time', 'ms', 1e3),
-    'drive_lag': ('lag of the drive', 'ms', 1e3),
     'position_gain': ('position gain', '1/s', 1.0),
     'velocity_bandwidth': ('velocity bandwidth', 'rad/s', 1.0),
     'feedforward': ('velocity feedforward', '-', 1.0),
 }
 
 
-def axis_fit_table(
-    fit: AxisFit, response: FrequencyResponse, dead_time: tuple[float, str], axis: str
-) -> Table:
+def axis_fit_table(found: IdentifiedAxis, title: str) -> Table:
     """Return the parameters with their intervals."""
     columns = (
         Column('Parameter', numeric=False),
@@ -43,7 +39,7 @@ def axis_fit_table(
         Column('unit', numeric=False),
     )
     rows = []
-    for one in fit.parameters:
+    for one in found.fit.parameters:
         meaning, unit, factor = _MEANING[one.name]
         rows.append(
             (
@@ -53,50 +49,81 @@ def axis_fit_table(
                 unit,
             )
         )
-    delay, source = dead_time
-    if source == 'phase':
-        _, error = response.dead_time
+    linear = found.linear
+    if linear is None:
+        rows += [('dead time', 'unknown', '', 'ms'), ('lowest resonance', 'unknown', '', 'Hz')]
+    else:
+        delay = linear.delay
+        told = delay.high <= _TOLD * delay.low or delay.high < _PERIODS * found.period
         rows.append(
             (
-                'dead time, by the phase',
-                f'{1e3 * delay:.3g}',
-                f'{1e3 * (delay - 2.0 * error):.3g} to {1e3 * (delay + 2.0 * error):.3g}',
+                'dead time, with lags',
+                f'{1e3 * linear.model.delay:.3g}' if told else 'unknown',
+                f'{1e3 * delay.low:.3g} to {1e3 * delay.high:.3g}',
                 'ms',
             )
         )
-    resonance = response.resonance
-    rows.append(('lowest resonance', f'{resonance:.0f}' if resonance else 'none seen', '', 'Hz'))
-    return Table(f'{axis}: {fit.structure}', columns, tuple(rows))
+        mode = linear.mode
+        rows.append(
+            (
+                'lowest resonance',
+                f'{linear.model.mode:.3g}',
+                f'{mode.low:.3g} to {mode.high:.3g}',
+                'Hz',
+            )
+            if linear.resonance_known
+            else ('lowest resonance', 'unknown', f'above {mode.low:.3g}', 'Hz')
+        )
+        rows.append(('response known up to', f'{linear.known_to:.3g}', '', 'Hz'))
+    rows.append(('backlash', 'unknown', '', 'um'))
+    return Table(f'{title}: {found.fit.structure}', columns, tuple(rows))
 
 
-def axis_fit_remarks(
-    fit: AxisFit, response: FrequencyResponse, force: float | None
-) -> list[Remark]:
-    """Return how good the model is, and what the data cannot tell."""
+_TOLD, _PERIODS = 4.0, 0.5
+"""Ratio of the ends of an interval up to which a dead time is told, and its upper end in periods
+up
+to which it is as good as none."""
+
+
+def axis_fit_remarks(found: IdentifiedAxis, force: float | None) -> list[Remark]:
+    """Return how good the model is, what the data cannot tell, and what to record for that."""
+    fit, linear, known = found.fit, found.linear, found.data.knowledge
     share = 100.0 * fit.held_out_rms / fit.held_out_span
     lines = [
         Remark(
             f'open loop: {1e3 * fit.rms:.3g} mm rms over the whole recording, '
             f'{1e3 * fit.held_out_rms:.3g} mm on halves that the fit had not seen '
             f'({share:.2g} % of the way)'
-        )
+        ),
+        Remark(f'unexplained: {100.0 * known.unexplained:.2g} % of the acceleration'),
     ]
-    if share > 20.0:
+    if share > 10.0:
         lines.append(
             Remark(
-                'the model explains little of the motion: check columns, unit and --reversed',
+                f'{share:.0f} % of the way is unexplained: nothing holds an open-loop simulation, '
+                'but check columns, unit and --reversed',
                 warning=True,
             )
         )
+    if known.not_fit_for_control:
+        lines.append(Remark(f'not fit for control: {known.not_fit_for_control}', warning=True))
     for one in fit.parameters:
         if one.why_not:
             lines.append(Remark(f'{_MEANING[one.name][0]}: {one.why_not}', warning=True))
-    delay, _ = response.dead_time
-    if not isfinite(delay) and not any(one.name == 'delay' for one in fit.parameters):
+    if linear is None or not linear.resonance_known:
         lines.append(
             Remark(
-                'dead time: these data cannot tell it; steps of the command, or faster '
-                'reversals, would',
+                'lowest resonance: the recording moves the axis too little at its frequency, and '
+                'what moves by itself says nothing of the drive; a chirp that `fuzzycnc machine '
+                'excite` writes would show it',
+                warning=True,
+            )
+        )
+    if linear is not None and linear.delay.high > _TOLD * max(linear.delay.low, 1e-4):
+        lines.append(
+            Remark(
+                f'dead time: anything up to {1e3 * linear.delay.high:.2g} ms, which is reckoned '
+                'with; a chirp that `fuzzycnc machine excite` writes would tell it',
                 warning=True,
             )
         )
@@ -110,20 +137,30 @@ def axis_fit_remarks(
     return lines
 
 
-def axis_fit_document(
-    fit: AxisFit, response: FrequencyResponse, dead_time: tuple[float, str]
-) -> dict[str, Any]:
+def axis_fit_document(found: IdentifiedAxis) -> dict[str, Any]:
     """Return all figures in SI."""
-    return {
+    fit, linear = found.fit, found.linear
+    document: dict[str, Any] = {
         'structure': fit.structure,
         'parameters': fit.parameters,
         'rms': fit.rms,
         'held_out_rms': fit.held_out_rms,
         'structures': fit.trials,
-        'resonance': response.resonance,
-        'dead_time': dead_time[0],
-        'dead_time_by': dead_time[1],
+        'unexplained': found.data.knowledge.unexplained,
+        'not_fit_for_control': found.data.knowledge.not_fit_for_control,
+        'response': None,
     }
+    if linear is not None:
+        document['response'] = {
+            **asdict(linear.model),
+            'known_to': linear.known_to,
+            'resonance_known': linear.resonance_known,
+            'interval': {
+                name: [one.low, one.high if isfinite(one.high) else None]
+                for name, one in (('delay', linear.delay), ('mode', linear.mode))
+            },
+        }
+    return document
 
 
 def loop_table(loops: Mapping[str, LoopFit]) -> Table:

@@ -20,9 +20,10 @@ SIZE_MAX = 500_000_000
 GUESSES: Mapping[str, tuple[str, ...]] = {
     't': ('t', 'time', 'time_s', 'timestamp', 'sample_time'),
     'command': ('command', 'duty', 'voltage', 'vir', 'u', 'torque', 'force', 'current'),
-    'position': ('position', 'actual', 'qm', 'pos', 'measured'),
+    'position': ('position', 'actual', 'actual_mm', 'qm', 'pos', 'measured'),
+    'reference': ('reference', 'commanded', 'commanded_mm', 'set_point', 'qg'),
 }
-"""Names of columns that are taken without being told."""
+"""Names of columns that are taken without being told; the first and the last may be missing."""
 
 _JITTER = 0.25
 """Share of a period that a sample may be late."""
@@ -119,7 +120,7 @@ def guessed(path: Path, wanted: Mapping[str, str]) -> dict[str, str]:
         hits = [name for name in names if name.strip().lower() in usual]
         if len(hits) == 1:
             found[what] = hits[0]
-        elif what != 't':
+        elif what not in ('t', 'reference'):
             raise ValueError(
                 f'{path}: expected one column that is the {what} but found '
                 f'{", ".join(hits) or "none"} among {", ".join(names)}; name it by '

@@ -4,6 +4,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
@@ -25,6 +26,15 @@ axes:
   T:
     plant: {model: lags, delay: 2 ms}
     controller: {name: linear_tangent}
+"""
+
+
+LIGHT = """\
+axes:
+  X:
+    plant:
+      {model: mass, mass: 1 kg, viscous_forward: 4.4 N s/m, viscous_backward: 4.4 N s/m,
+       coulomb_forward: 0 N, coulomb_backward: 0 N, force_constant: 7.2 N/V, count: 0.1 um}
 """
 
 
@@ -58,6 +68,27 @@ def test_rules_are_learnt_of_a_bag_and_used(fuzzycnc, tmp_path):
         figures.append((tmp_path / 'p.json').read_text())
     assert figures[0] != figures[1]
     assert fuzzycnc('servo', 'stability', *options, '--params', 'rules.yaml').code == 0
+
+
+def test_rules_are_learnt_of_an_axis_that_never_comes_near_its_speed_at_full_duty(
+    fuzzycnc, tmp_path, root
+):
+    """What hardly rubs would end up at 30 m/s; its own recording is no other axis' for that."""
+    path = root / 'test' / 'support' / 'axes' / 'light.csv.gz'
+    time, reference, position, duty = np.loadtxt(path, delimiter=',', skiprows=1).T[:, :6000]
+    (tmp_path / 'light.yaml').write_text(LIGHT)
+    options = ('--machine-file', 'light.yaml', '--axis', 'X', '--unit', 'mm')
+    codes = []
+    for name, scale in (('honest', 1.0), ('metres', 1e-3)):
+        moves = np.column_stack([time, scale * reference, scale * position, duty])
+        header = 't,reference,position,duty'
+        np.savetxt(tmp_path / f'{name}.csv', moves, delimiter=',', header=header, comments='')
+        done = fuzzycnc('servo', 'learn', f'{name}.csv', *options, '--out', f'{name}.yaml')
+        codes.append(done.code)
+        assert done.code == 0 or 'is it this axis, and the unit right?' in ' '.join(
+            done.err.split()
+        )
+    assert codes == [0, 2]
 
 
 @pytest.mark.parametrize('name', AXIS_CONTROLLERS)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 from tiers import rest_slow
-from two_mass_axis import UNSEEN, TwoMassAxis, operated
+from two_mass_axis import TwoMassAxis, TwoMassConfig, operated
 
-from fuzzycnc_ros.core.identify.axis_data import identified_axis, identified_dead_time
-from fuzzycnc_ros.core.identify.axis_fit import AxisRecording, fit_axis
-from fuzzycnc_ros.core.identify.frequency import frequency_response
+from fuzzycnc_ros.core.identify.axis_data import identify_axis, reading_noise, sensor_count
+from fuzzycnc_ros.core.identify.axis_fit import AxisRecording, fit_axis, late
 from fuzzycnc_ros.core.identify.loop_fit import fit_loop, following
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
+from fuzzycnc_ros.core.servo.axis_control import make_axis_controller
 from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, simulated_axis
 
 PERIOD = 1e-3
@@ -23,7 +23,7 @@ PERIOD = 1e-3
 @pytest.fixture(scope='module')
 def one_friction():
     config = BallscrewAxisConfig(offset=0.0, count=1e-6, delay=1e-3)
-    return config, fit_axis([operated(BallscrewAxis(config), 3.7, 2.1)])
+    return config, fit_axis([late(operated(BallscrewAxis(config), 3.7, 3.0), config.delay)])
 
 
 def test_a_simulated_axis_is_found(one_friction):
@@ -42,36 +42,55 @@ def test_friction_by_direction_is_told():
     assert fit.model.viscous_backward > 1.5 * fit.model.viscous_forward
 
 
-@pytest.mark.parametrize('name', list(UNSEEN)[:2])
-def test_resonance_and_dead_time_of_elastic_axes(name):
-    config = UNSEEN[name]
-    rigid = config.force / (config.motor + config.slide)
-    recording = operated(TwoMassAxis(config), rigid, 12.0, seed=1)
-    response = frequency_response([recording], rigid)
-    assert response.resonance == pytest.approx(config.resonance, rel=0.03)
-    delay, error = response.dead_time
-    assert 0.6 * config.delay < delay < 1.1 * config.delay
-    assert error < 0.1 * config.delay
-
-
-def test_a_stiff_axis_has_no_resonance():
-    recording = operated(BallscrewAxis(BallscrewAxisConfig(count=1e-7)), 3.7)
-    assert frequency_response([recording], 3.7).resonance == 0.0
-
-
 def test_machine_data_of_an_axis(one_friction):
-    config, fit = one_friction
+    config, _ = one_friction
     recording = operated(BallscrewAxis(config), 3.7)
-    response = frequency_response([recording], fit.model.gain)
-    delay, how = identified_dead_time(fit, response)
-    assert how == 'phase'
-    assert delay == pytest.approx(1e-3, rel=0.2)
-    data = identified_axis(fit, response, [recording], force=config.force_max)
+    found = identify_axis([recording], force=config.force_max)
+    data = found.data
     assert data.plant.mass == pytest.approx(config.mass, rel=0.03)
     assert data.plant.count == pytest.approx(1e-6)
+    # the safe end of the interval, which holds the truth
+    assert config.delay <= data.plant.delay <= 1.6 * config.delay
     assert data.limits.travel_high > recording.position.max()
+    assert data.limits.resonance == 0.0
+    assert data.knowledge.mode_high == 0.0
+    assert not data.knowledge.not_fit_for_control
     simulated_axis(data).drive(0.1)
-    assert identified_axis(fit, response, [recording]).plant.mass == 1.0
+
+
+class Sprung(TwoMassAxis):
+    """An axis that a spring pulls back."""
+
+    def drive(self, duty):
+        super().drive(duty - 3000.0 * self.position / self.config.force)
+
+
+@pytest.mark.parametrize('digits', [9, 12])
+@pytest.mark.parametrize('slowest', [1.0, 2.0, 5.0])
+def test_the_count_of_a_sensor_that_is_never_read_slowly(slowest, digits):
+    """The least step is two counts, or five; at run time steps of one are no fault then."""
+    draw = np.random.default_rng(3)
+    counts = np.cumsum(draw.choice([slowest, slowest + 1.0, slowest + 3.0, 90.0], 2000))
+    place = np.round(1.806e-7 * counts, digits)
+    recording = AxisRecording(np.zeros(len(place)), place, PERIOD)
+    assert sensor_count([recording]) == pytest.approx(1.806e-7, rel=1e-3)
+
+
+def test_readings_without_counts_have_noise_instead():
+    draw = np.random.default_rng(4)
+    time = PERIOD * np.arange(5000)
+    place = 0.05 * np.sin(3.0 * time) + 3e-7 * draw.standard_normal(len(time))
+    recording = AxisRecording(np.zeros(len(place)), place, PERIOD)
+    assert sensor_count([recording]) == 0.0
+    assert reading_noise([recording]) == pytest.approx(3e-7, rel=0.05)
+
+
+def test_an_axis_on_a_spring_is_not_fit_for_control():
+    found = identify_axis([operated(Sprung(TwoMassConfig()), 4.0, 5.0, seed=1)])
+    why = found.data.knowledge.not_fit_for_control
+    assert 'grows with the position' in why
+    with pytest.raises(ValueError, match='fit for control but found one that is not'):
+        make_axis_controller(found.data)
 
 
 @pytest.mark.parametrize(

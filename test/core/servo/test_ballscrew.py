@@ -38,7 +38,7 @@ def drive(controller, axis, reference, velocity=0.0, periods=1000):
         ({'friction': 1.5}, 'friction from 0 to 1 but found 1.5'),
         ({'friction': math.nan}, 'friction from 0 to 1'),
         ({'estimator': 0.0}, 'estimator from 0.2 to 8 but found 0.0'),
-        ({'bandwidth': 0.005}, 'bandwidth from 0.25 to 12 but found 0.005'),
+        ({'bandwidth': 0.005}, 'bandwidth from 0.01 to 12 but found 0.005'),
         ({'speed': 1.0}, "output_gain, disturbance for variable_universe but found 'speed'"),
     ],
 )
