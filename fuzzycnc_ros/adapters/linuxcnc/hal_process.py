@@ -32,8 +32,9 @@ LINE = ('offset', 'slope', 'reference')
 """What the component fuzzycnc_offset takes of each axis."""
 VALID_FOR = 10.0
 """How long it may follow a set without another one [s]."""
-TAKEN = 1.0
-"""Time [s] in which it takes a set: two servo periods."""
+TAKEN = 3.0
+"""Time [s] after which a set that it has not taken is told; it takes two servo periods, and a
+servo thread that stands still is told before."""
 NUMBERS = 32767
 """Numbers of sets go from 1 to this and begin anew."""
 PROBE_READS = ('probe-code', 'probe-value')

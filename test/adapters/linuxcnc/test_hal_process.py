@@ -142,8 +142,10 @@ def test_a_set_waits_until_the_one_before_was_taken(monkeypatch):
     now[0] += VALID_FOR / 2
     servo.write(6.0)
     assert servo.pins['sequence'].value == 4
-    now[0] += 2 * TAKEN
-    with pytest.raises(HalError, match='has not taken set 4 for 1 s'):
+    now[0] += TAKEN - 0.1
+    servo.write(7.0)
+    now[0] += 0.2
+    with pytest.raises(HalError, match='has not taken set 4 for 3 s'):
         servo.write(7.0)
 
 
