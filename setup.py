@@ -65,6 +65,7 @@ setup(
             'machine_file/built_in/*.yaml',
             'ros/*.xml',
             'studies/page/templates/*',
+            'studies/servo/templates/*',
             'adapters/probing/programs/*',
             'web/static/*',
             'web/vendor/*/*',

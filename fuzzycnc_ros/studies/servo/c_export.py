@@ -13,10 +13,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.servo import feedback_watch as watching
 from fuzzycnc_ros.core.servo import growing_swing as swinging
+from fuzzycnc_ros.core.servo import variable_universe
 from fuzzycnc_ros.core.servo.baselines import CascadeController, PidController
 from fuzzycnc_ros.core.servo.controller import AxisController
+from fuzzycnc_ros.core.servo.stick_slip import StickSlipParams
+from fuzzycnc_ros.core.servo.variable_universe import (
+    ContractedSurface,
+    LinearSurface,
+    VariableUniverseController,
+)
 from fuzzycnc_ros.studies.requirement import require
 
 RECORDED = 400
@@ -62,10 +70,15 @@ def c_controller(
         values['law'] = 'cascade'
         constants += _cascade(controller)
         values |= _observer(controller)
+    elif isinstance(controller, VariableUniverseController) and controller._observer:
+        values['law'] = 'rules'
+        constants += _rules(controller)
+        values |= _observer(controller) | _surface(controller)
     else:
         raise ValueError(
-            f'controller: expected a pid or cascade but found {type(controller).__name__}, which '
-            'cannot be exported yet'
+            'controller: expected a pid, a cascade, or a variable universe or its tangent with '
+            f'observer but found {type(controller).__name__}, mode '
+            f'{getattr(controller, "mode", "none")}'
         )
     counts = _counts(controller)
     settles = [int(controller._settles(share)) for share in (0.5, 0.25, 0.125)]
@@ -143,8 +156,27 @@ def _counts(controller: AxisController) -> list[Constant]:
         ('SWING_HALVES', swinging._HALVES, 'Half swings in a row that have to grow'),
         ('SWING_LASTS', swinging._LASTS, 'Swings in a row that last'),
     ]
-    if isinstance(controller, CascadeController):
-        design = controller._observer.design
+    if isinstance(controller, VariableUniverseController):
+        relief = controller._relief
+        numbers = (
+            (relief._still_count, relief._patience, relief._half, relief._settled)
+            if relief is not None
+            else (1, 0, 1, 0)
+        )
+        rows += [
+            (
+                'SETTLE_PERIODS',
+                controller._moving._settle,
+                'Motion before that is seen',
+            ),
+            ('RELIEVES', relief is not None, 'Whether an axis that is stuck is helped'),
+            ('STILL_COUNT', numbers[0], 'Periods after which a still axis is judged'),
+            ('PATIENCE', numbers[1], 'Periods for which it may be stuck off its target'),
+            ('HALF_WAVE', numbers[2], 'Periods of half a wave of the dither'),
+            ('SETTLED', numbers[3], 'Periods near the target after which it ends'),
+        ]
+    if not isinstance(controller, PidController):
+        design = controller._observer.design  # type: ignore[attr-defined]
         rows += [
             ('POSITION', design.position, 'Place of the position among the states'),
             ('VELOCITY', design.velocity, 'Place of the velocity'),
@@ -180,9 +212,70 @@ def _cascade(law: CascadeController) -> list[Constant]:
     )
 
 
-def _observer(law: CascadeController) -> dict[str, Any]:
+def _rules(law: VariableUniverseController) -> list[Constant]:
+    p, relief, observer = law.params, law._relief, law._observer
+    assert observer is not None, 'only those with one are exported'
+    rest = relief.params if relief is not None else StickSlipParams(amplitude_max=0.0)
+    steps = (relief._mean, relief._grow, relief._fade) if relief is not None else (0.0, 0.0, 0.0)
+    found = _constants(
+        ('DISTURBANCE_GAIN', observer.design.gain[-1], '1/m', 'Correction of disturbance'),
+        ('PER_VELOCITY', law._per_velocity, 's/m', 'Duty per velocity of the reference'),
+        ('PER_ACCELERATION', law._per_acceleration, 's2/m', 'Duty per acceleration'),
+        ('HIDDEN', law._hides, '-', 'Disturbance that friction hides at rest'),
+        ('MOVING', variable_universe._MOVING, 'm/s', 'Speed from which on the axis moves'),
+        ('SEEN_SHARE', law._moving._share, '-', 'Share of a new disturbance in its mean'),
+        ('STILL_BAND', rest.still_band, 'm', 'Way within which the axis is still'),
+        ('PROOF', rest.proof, '-', 'Change of duty that proves friction'),
+        ('HOLD_ERROR', rest.hold_error, 'm', 'Mean error up to which it is held'),
+        ('LOOSE_ERROR', rest.loose_error, 'm', 'Mean error beyond which it is dithered loose'),
+        ('REACHED_ERROR', rest.reached_error, 'm', 'Mean error at which dithering ends'),
+        ('ZONE', rest.zone, 'm', 'Error up to which it is dithered at all'),
+        ('START_AMPLITUDE', rest.start_amplitude, '-', 'Amplitude that the dither begins with'),
+        ('AMPLITUDE_MAX', rest.amplitude_max, '-', 'Largest amplitude; 0 turns dithering off'),
+        ('MEAN_SHARE', steps[0], '-', 'Share of a new value in mean error and duty'),
+        ('AMPLITUDE_GROWTH', steps[1], '-', 'Growth of the amplitude in a period'),
+        ('AMPLITUDE_DECAY', steps[2], '-', 'Its decay in a period'),
+    )
+    if isinstance(law._surface, LinearSurface):
+        way = -1.0 if law._surface._scale > 0.0 else 1.0
+        return found + _constants(
+            ('ERROR_GAIN', way * p.error_gain, '1/m', 'Duty per error'),
+            ('RATE_GAIN', way * p.rate_gain, 's/m', 'Duty per error rate'),
+        )
+    return found + _constants(
+        ('OUTPUT_SCALE', law._surface._scale, '-', 'Duty of the whole output, with its sign'),
+        ('PER_ERROR', 1.0 / p.error_range, '1/m', 'Error on its universe'),
+        ('PER_RATE', 1.0 / p.rate_range, 's/m', 'Rate on its universe'),
+        ('ERROR_EXPONENT', p.error_exponent, '-', 'How the universe of the error shrinks'),
+        ('RATE_EXPONENT', p.rate_exponent, '-', 'How that of the rate does'),
+        ('ERROR_FLOOR', p.error_floor, '-', 'Least of the universe of the error'),
+        ('RATE_FLOOR', p.rate_floor, '-', 'Least of that of the rate'),
+    )
+
+
+def _surface(law: VariableUniverseController) -> dict[str, Any]:
+    """Return the rule table, and the digits of the powers that shrink its universes."""
+    rules, kind = law.params.rules, type(law._surface)
+    if kind not in (ContractedSurface, LinearSurface):
+        raise ValueError(f'controller: expected a contracted or linear surface but found {kind}')
+    return {
+        'contracts': kind is ContractedSurface,
+        'cuts': [_number(cut) for cut in rules.centres[1:-1]],
+        'cells': [[[_number(one) for one in cell] for cell in row] for row in rules.cells],
+        'log': [_number(one) for one in portable._LOG],
+        'exp': [_number(one) for one in portable._EXP],
+        'root_half': _number(portable._ROOT_HALF),
+        'ln2_high': _number(portable._LN2_HIGH),
+        'ln2_low': _number(portable._LN2_LOW),
+        'per_ln2': _number(portable._PER_LN2),
+    }
+
+
+def _observer(law: CascadeController | VariableUniverseController) -> dict[str, Any]:
     """Return the observer of a chain: rows that nothing ahead of them acts on."""
-    design = law._observer.design
+    observer = law._observer
+    assert observer is not None, 'only those with one are exported'
+    design = observer.design
     size = len(design.dynamics) - 1
     unit = np.eye(size + 1)
     chain = (

@@ -13,9 +13,15 @@ import pytest
 
 from fuzzycnc_ros.core.servo.baselines import CascadeController, PidController
 from fuzzycnc_ros.core.servo.built_in import built_in_controller
+from fuzzycnc_ros.core.servo.variable_universe import (
+    ContractedSurface,
+    LinearSurface,
+    VariableUniverseController,
+)
 from fuzzycnc_ros.studies.servo.c_export import c_controller
 
 COMPILERS = [name for name in ('gcc', 'clang') if shutil.which(name)]
+LAWS = ('pid', 'pid ballscrew', 'cascade', 'rules', 'ballscrew rules', 'tangent')
 FAULTS = [
     '',
     'reading and reference are further',
@@ -36,7 +42,12 @@ def make(law):
     axis = built_in_controller('lathe').axis
     if law == 'pid':
         return PidController(axis, friction=(0.03, 0.02), duty_slew=200.0, sensor_lag=1e-3)
-    return CascadeController(axis, friction=(0.03, 0.02))
+    if law == 'cascade':
+        return CascadeController(axis, friction=(0.03, 0.02))
+    if law == 'ballscrew rules':
+        return built_in_controller('ballscrew', 'variable_universe')
+    surface = LinearSurface if law == 'tangent' else ContractedSurface
+    return VariableUniverseController(axis, friction=(0.03, 0.02), surface=surface)
 
 
 def text_of(controller):
@@ -89,7 +100,7 @@ def drive(law, controller, others, steps, seed):
     top = 0.3 * abs(controller.axis.gain)
     state, reference, velocity, acceleration = np.zeros(len(held)), 0.0, 0.0, 0.0
     disturbance, strength, seen = 0.0, 1.0, set()
-    offset, coarse, faulty, burst, wrong = 0.0, 1.0, 0, 0, 0.0
+    offset, coarse, faulty, burst, wrong, stuck = 0.0, 1.0, 0, 0, 0.0, 0
     for each in (controller, *others):
         each.reset()
     for step in range(steps):
@@ -128,7 +139,14 @@ def drive(law, controller, others, steps, seed):
                 assert controller.watch.fault.startswith(FAULTS[other.fault]), step
                 seen.add(other.fault)
         faulty = faulty + 1 if controller.watch.fault else 0
-        state = held @ state + strength * entry * duty + load * disturbance
+        relief = getattr(controller, '_relief', None)
+        seen.add((relief.state if relief else '') or 'free')
+        seen.add('less gain' if controller.taken_back else 'all gain')
+        if gap > 0.999 and not stuck:
+            stuck = int(rng.integers(20, 800))
+        stuck = max(stuck - 1, 0)
+        if not (0 < stuck < 700 and abs(duty) < 0.3):  # else friction holds it
+            state = held @ state + strength * entry * duty + load * disturbance
         if faulty > 3 or rng.random() < 0.0005:
             state, velocity, strength, offset = np.zeros(len(held)), 0.0, 1.0, 0.0
             reference, coarse = 0.0, 1.0
@@ -140,19 +158,29 @@ def drive(law, controller, others, steps, seed):
 
 
 @pytest.mark.parametrize(
-    'steps', [6000, pytest.param(1_000_000, marks=pytest.mark.slow)], ids=['few', 'all']
+    'steps',
+    [
+        4000,
+        pytest.param(60_000, marks=pytest.mark.slow),
+        pytest.param(1_000_000, marks=pytest.mark.qualify),
+    ],
 )
-@pytest.mark.parametrize('law', ['pid', 'pid ballscrew', 'cascade'])
+@pytest.mark.parametrize('law', LAWS)
 def test_every_duty_is_that_of_python(law, steps, tmp_path):
     controller = make(law)
     text = text_of(controller)
     others = [Compiled(text, tmp_path, compiler) for compiler in COMPILERS]
     assert others, 'expected a C compiler'
     seen = drive(law, controller, others, steps, seed=1)
-    assert len(seen) >= (2 if steps < 10_000 else 5), seen
+    if steps > 10_000:
+        assert {1, 2, 3, 5, 6, 7, 8} <= seen
+        rests = {'free', 'holding', 'dithering'}
+        assert not getattr(controller, '_relief', None) or rests <= seen
+    if steps > 100_000:
+        assert 4 in seen
 
 
-@pytest.mark.parametrize('law', ['pid', 'cascade'])
+@pytest.mark.parametrize('law', ['pid', 'cascade', 'rules', 'tangent'])
 def test_self_test_finds_a_changed_constant(law, tmp_path):
     text = text_of(make(law))
 
@@ -164,12 +192,16 @@ def test_self_test_finds_a_changed_constant(law, tmp_path):
         return subprocess.run([target], capture_output=True, text=True, check=False)
 
     assert run(text).stdout.startswith('0 of 400 duties differ')
-    name = {'pid': 'DERIVATIVE', 'cascade': 'POSITION_GAIN'}[law]
+    name = {
+        **{'pid': 'DERIVATIVE', 'cascade': 'POSITION_GAIN'},
+        **{'rules': 'RATE_EXPONENT', 'tangent': 'ERROR_GAIN'},
+    }[law]
     changed, found = re.subn(rf'({name} = [^;]*);', r'\1 * 1.000001;', text)
     assert found == 1
     assert run(changed).returncode == 1
 
 
 def test_what_cannot_be_exported_is_named():
-    with pytest.raises(ValueError, match='expected a pid or cascade but found Variable'):
-        text_of(built_in_controller('lathe'))
+    axis = built_in_controller('lathe').axis
+    with pytest.raises(ValueError, match='found VariableUniverseController, mode static'):
+        text_of(VariableUniverseController(axis, mode='static'))

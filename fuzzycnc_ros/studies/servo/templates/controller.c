@@ -25,7 +25,7 @@ static const double {{ item.name }} = {{ item.text }};
 /* {{ item.comment }} */
 #define {{ item.name }} {{ item.text }}
 {%- endfor %}
-{% if law == 'cascade' %}
+{% if law != 'pid' %}
 /* The observer: of each state what the states, the disturbance, the duty and a difference add. */
 #define STATES {{ rows | length }}
 static const double DYNAMICS[STATES][STATES] = {
@@ -36,6 +36,20 @@ static const double DYNAMICS[STATES][STATES] = {
 static const double DISTURBANCE[STATES] = { {{ rows | map(attribute='disturbance') | join(', ') }} };
 static const double DUTY[STATES] = { {{ rows | map(attribute='duty') | join(', ') }} };
 static const double GAIN[STATES] = { {{ rows | map(attribute='gain') | join(', ') }} };
+{% endif %}
+{%- if law == 'rules' and contracts %}
+/* The rules: between neighbouring cuts of error and rate the surface is a + b x + c y + d x y. */
+#define CUTS {{ cuts | length }}
+static const double CUT[CUTS] = { {{ cuts | join(', ') }} };
+static const double CELL[CUTS + 1][CUTS + 1][4] = {
+{%- for row in cells %}
+    {
+{%- for cell in row %}
+        { {{ cell | join(', ') }} },
+{%- endfor %}
+    },
+{%- endfor %}
+};
 {% endif %}
 /* Faults, in which the duty is zero until a reset. */
 enum {
@@ -68,6 +82,14 @@ typedef struct {
     double rate_last, rate, integral;
 {%- else %}
     double state[STATES], disturbance;
+{%- endif %}
+{%- if law == 'rules' %}
+    /* what the observer saw of the disturbance in motion: backward, forward */
+    int going, moved, count[2];
+    double first_seen, seen[2];
+    /* relief from stick-slip */
+    int rest, has_reference, still, good, phase, side_before, has_moved, proven;
+    double amplitude, held_reference, anchor, mean_error, mean_duty, duty_before, held;
 {%- endif %}
 } {{ name }}_state;
 
@@ -329,6 +351,129 @@ static double reference_friction({{ name }}_state *s, double velocity, double ac
     return s->way > 0 ? FRICTION_FORWARD : s->way < 0 ? -FRICTION_BACKWARD : 0.0;
 }
 
+{%- if law == 'rules' %}
+/* ---- Relief from stick-slip: hold where it is good, dither loose where it is not ---------------- */
+
+enum { OFF, HOLDING, DITHERING };
+
+static void relief_reset({{ name }}_state *s, double position)
+{
+    s->rest = OFF;
+    s->amplitude = 0.0;
+    s->anchor = position;
+    s->still = s->good = s->phase = s->side_before = 0;
+    s->has_moved = s->proven = 0;
+    s->mean_error = s->mean_duty = s->duty_before = s->held = 0.0;
+}
+
+/* Give the axis back to the controller. */
+static void relief_leave({{ name }}_state *s)
+{
+    s->rest = OFF;
+    s->amplitude = 0.0;
+    s->still = 0;
+}
+
+static void relief_release({{ name }}_state *s)
+{
+    if (s->has_reference)
+        relief_leave(s);
+    s->has_reference = 0;
+}
+
+/* Decide what to do with an axis that has been still for a while. */
+static void relief_judge({{ name }}_state *s)
+{
+    double error = fabs(s->mean_error);
+    int side, slipped = 0;
+
+    if (s->still == STILL_COUNT)
+        s->duty_before = s->mean_duty;
+    if (!s->proven) {
+        if (fabs(s->mean_duty - s->duty_before) <= PROOF)
+            return;
+        s->proven = 1;
+        side = error <= LOOSE_ERROR ? 0 : s->mean_error > 0.0 ? 1 : -1;
+        slipped = side * s->side_before < 0;
+        s->side_before = side;
+    }
+    if (error <= HOLD_ERROR) {
+        s->rest = HOLDING;
+        s->held = s->mean_duty;
+    } else if (LOOSE_ERROR < error && error < ZONE && AMPLITUDE_MAX != 0.0 &&
+               (slipped || s->still >= PATIENCE)) {
+        s->rest = DITHERING;
+        s->amplitude = START_AMPLITUDE;
+        s->good = 0;
+    }
+}
+
+/* The next value of the square wave. */
+static double relief_wave({{ name }}_state *s)
+{
+    s->phase = (s->phase + 1) % (2 * HALF_WAVE);
+    return s->phase < HALF_WAVE ? s->amplitude : -s->amplitude;
+}
+
+/* Go on dithering, until the axis is where it should be or is pulled far away. */
+static double relief_dither({{ name }}_state *s, double wanted)
+{
+    if (fabs(s->mean_error) > 2.0 * ZONE) {
+        relief_leave(s);
+        return wanted;
+    }
+    s->held += (wanted - s->held) * MEAN_SHARE;
+    if (fabs(s->mean_error) <= REACHED_ERROR) {
+        s->good++;
+        if (s->good >= SETTLED)
+            s->rest = HOLDING;
+    } else {
+        s->good = 0;
+        s->amplitude += AMPLITUDE_GROWTH;
+        if (AMPLITUDE_MAX < s->amplitude)
+            s->amplitude = AMPLITUDE_MAX;
+    }
+    return wanted + relief_wave(s);
+}
+
+/* The duty to command at a reference that stands still. */
+static double relief_duty({{ name }}_state *s, double reference, double position, double wanted,
+                          double last)
+{
+    double away;
+
+    if (!s->has_reference || reference != s->held_reference) {
+        relief_reset(s, position);
+        s->held_reference = reference;
+        s->has_reference = 1;
+        return wanted;
+    }
+    s->mean_duty += (last - s->mean_duty) * MEAN_SHARE;
+    s->mean_error += (reference - position - s->mean_error) * MEAN_SHARE;
+    away = position - s->anchor;
+    if (-STILL_BAND <= away && away <= STILL_BAND) {
+        s->still++;
+    } else {
+        s->anchor = position;
+        s->still = 0;
+        s->has_moved = 1;
+        s->proven = 0;
+    }
+    if (s->rest == OFF) {
+        if (s->still >= STILL_COUNT && s->has_moved)
+            relief_judge(s);
+        return wanted;
+    }
+    if (s->rest == DITHERING)
+        return relief_dither(s, wanted);
+    if (fabs(s->mean_error) > LOOSE_ERROR) {
+        relief_leave(s);
+        return wanted;
+    }
+    s->amplitude = 0.0 > s->amplitude - AMPLITUDE_DECAY ? 0.0 : s->amplitude - AMPLITUDE_DECAY;
+    return s->held + relief_wave(s);
+}
+{% endif %}
 /* ---- The law -------------------------------------------------------------------------------- */
 {% if law == 'pid' %}
 static void law_restart({{ name }}_state *s, double position, double duty)
@@ -373,28 +518,6 @@ static void law_bridge({{ name }}_state *s, double duty)
     s->rate_last += s->rate * PERIOD;
 }
 {% else %}
-static void law_restart({{ name }}_state *s, double position, double duty)
-{
-{%- for value in rest %}
-    s->state[{{ loop.index0 }}] = {{ value }};
-{%- endfor %}
-    s->disturbance = duty;
-}
-
-static double law_wanted({{ name }}_state *s, double reference, double position, double velocity,
-                         double acceleration)
-{
-    double asked;
-
-    (void)position;
-    if (FRICTION_KNOWN)
-        s->friction = reference_friction(s, velocity, acceleration);
-    s->error = reference - s->state[POSITION];
-    asked = velocity + between(POSITION_GAIN * s->error, -VELOCITY_MAX, VELOCITY_MAX);
-    return VELOCITY_GAIN * (asked - s->state[VELOCITY]) + asked * PER_VELOCITY +
-           acceleration * PER_ACCELERATION + s->disturbance + s->friction;
-}
-
 /* Predict one period further; without a reading nothing is corrected. */
 static void predict({{ name }}_state *s, double duty, double reading, int corrects)
 {
@@ -414,6 +537,191 @@ static void predict({{ name }}_state *s, double duty, double reading, int correc
         s->state[row] = next[row];
 }
 
+static void observer_restart({{ name }}_state *s, double position, double duty)
+{
+{%- for value in rest %}
+    s->state[{{ loop.index0 }}] = {{ value }};
+{%- endfor %}
+    s->disturbance = duty;
+}
+{% if law == 'cascade' %}
+static void law_restart({{ name }}_state *s, double position, double duty)
+{
+    observer_restart(s, position, duty);
+}
+
+static double law_wanted({{ name }}_state *s, double reference, double position, double velocity,
+                         double acceleration)
+{
+    double asked;
+
+    (void)position;
+    if (FRICTION_KNOWN)
+        s->friction = reference_friction(s, velocity, acceleration);
+    s->error = reference - s->state[POSITION];
+    asked = velocity + between(POSITION_GAIN * s->error, -VELOCITY_MAX, VELOCITY_MAX);
+    return VELOCITY_GAIN * (asked - s->state[VELOCITY]) + asked * PER_VELOCITY +
+           acceleration * PER_ACCELERATION + s->disturbance + s->friction;
+}
+{% else %}
+{% if contracts %}
+/* Polynomials and parts of constants of fdlibm 5.3: the same digits everywhere, without a libm's pow. */
+static double polynomial(const double *coefficients, int size, double x)
+{
+    double total = x * coefficients[0];
+    int place;
+
+    for (place = 1; place < size - 1; place++) {
+        total += coefficients[place];
+        total *= x;
+    }
+    return total + coefficients[size - 1];
+}
+
+static double natural_log(double x)
+{
+    static const double log[] = { {{ log | join(', ') }} };
+    int exponent;
+    double part = frexp(x, &exponent), rise, s, square, half, more, whole;
+
+    if (part < {{ root_half }}) {
+        part = 2.0 * part;
+        exponent--;
+    }
+    whole = exponent;
+    rise = part - 1.0;
+    s = rise / (2.0 + rise);
+    square = s * s;
+    half = 0.5 * rise;
+    half *= rise;
+    more = square * polynomial(log, 7, square);
+    more += half;
+    more *= s;
+    more += whole * {{ ln2_low }};
+    half -= more;
+    half -= rise;
+    return whole * {{ ln2_high }} - half;
+}
+
+static double exponential(double x)
+{
+    static const double exp[] = { {{ exp | join(', ') }} };
+    double halvings, rest, square, c, below;
+
+    if (!(x > -746.0))
+        return x < 0.0 ? 0.0 : x;
+    halvings = rint(x * {{ per_ln2 }});
+    rest = (x - halvings * {{ ln2_high }}) - halvings * {{ ln2_low }};
+    square = rest * rest;
+    c = rest - square * polynomial(exp, 5, square);
+    below = 2.0 - c;
+    c *= rest;
+    c /= below;
+    c += rest;
+    return ldexp(1.0 + c, (int)halvings);
+}
+
+/* Power of a number from 0 to 1. */
+static double power(double x, double y)
+{
+    if (x > 0.0)
+        return exponential(y * natural_log(x));
+    return x == 0.0 && y >= 0.0 ? (y == 0.0 ? 1.0 : 0.0) : NAN;
+}
+
+/* A number on its universe, which shrinks with it. */
+static double contracted(double value, double per_range, double exponent, double floor)
+{
+    double x = value * per_range;
+
+    x = x > 1.0 ? 1.0 : x < -1.0 ? -1.0 : x;
+    return x / (power(fabs(x), exponent) + floor);
+}
+
+static int cell_of(double x)
+{
+    int cell = 0;
+
+    while (cell < CUTS && !(x < CUT[cell]))
+        cell++;
+    return cell;
+}
+
+static double surface(double error, double rate)
+{
+    double x = contracted(error, PER_ERROR, ERROR_EXPONENT, ERROR_FLOOR);
+    double y = contracted(rate, PER_RATE, RATE_EXPONENT, RATE_FLOOR);
+    const double *cell = CELL[cell_of(x)][cell_of(y)];
+
+    return OUTPUT_SCALE * (cell[0] + cell[1] * x + (cell[2] + cell[3] * x) * y);
+}
+{% else %}
+static double surface(double error, double rate)
+{
+    return ERROR_GAIN * error + RATE_GAIN * rate;
+}
+{% endif %}
+static void law_restart({{ name }}_state *s, double position, double duty)
+{
+    s->error = 0.0;
+    s->going = 0;
+    s->moved = s->count[0] = s->count[1] = 0;
+    s->first_seen = duty;
+    observer_restart(s, position, duty);
+    relief_reset(s, position);
+    s->has_reference = 0;
+}
+
+/* Set off with what was seen of the disturbance in motion, and see what there is to see: at rest
+ * friction takes whatever force there is. */
+static void learn({{ name }}_state *s, double velocity)
+{
+    int forward = s->way > 0, known = s->count[forward] ? forward : !forward;
+    double slowest = s->way * velocity, seen = s->way * s->state[VELOCITY], share;
+
+    if (!s->going)
+        s->disturbance = between(s->count[known] ? s->seen[known] : s->first_seen,
+                                 s->disturbance - HIDDEN, s->disturbance + HIDDEN);
+    if (seen < slowest)
+        slowest = seen;
+    if (!(slowest > MOVING && s->going == s->way)) {
+        s->moved = 0;
+        return;
+    }
+    s->moved++;
+    if (s->moved <= SETTLE_PERIODS)
+        return;
+    if (!s->count[forward])
+        s->seen[forward] = s->disturbance;
+    s->count[forward]++;
+    share = 1.0 / s->count[forward];
+    if (SEEN_SHARE > share)
+        share = SEEN_SHARE;
+    s->seen[forward] += (s->disturbance - s->seen[forward]) * share;
+}
+
+static double law_wanted({{ name }}_state *s, double reference, double position, double velocity,
+                         double acceleration)
+{
+    int moves = velocity != 0.0 || acceleration != 0.0;
+    double wanted;
+
+    if (FRICTION_KNOWN) {
+        s->friction = reference_friction(s, velocity, acceleration);
+        if (moves)
+            learn(s, velocity);
+        s->going = moves ? s->way : 0;
+    }
+    s->error = reference - s->state[POSITION];
+    wanted = surface(s->error, velocity - s->state[VELOCITY]) + s->disturbance + s->friction;
+    if (moves) {
+        if (RELIEVES)
+            relief_release(s);
+        return wanted + velocity * PER_VELOCITY + acceleration * PER_ACCELERATION;
+    }
+    return RELIEVES ? relief_duty(s, reference, position, wanted, s->duty) : wanted;
+}
+{% endif %}
 static void law_commit({{ name }}_state *s, double duty, double position)
 {
     predict(s, duty - s->friction, position, 1);
