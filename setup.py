@@ -67,6 +67,7 @@ setup(
             'machine_file/built_in/*.yaml',
             'ros/*.xml',
             'studies/page/templates/*',
+            'studies/servo/templates/*',
             'adapters/probing/programs/*',
             'web/static/*',
             'web/vendor/*/*',

@@ -58,6 +58,7 @@ HELP = """Compare, learn, tune and judge controllers that position an axis.
     fuzzycnc servo learn run --out rules.yaml
     fuzzycnc servo tune --machine-file mill.yaml --axis X --out tuned.yaml
     fuzzycnc servo stability --machine-file tuned.yaml --axis X
+    fuzzycnc servo export --machine-file tuned.yaml --axis X --out axis_x.c
 
 `fuzzycnc position` moves an axis with what they find.
 """
@@ -442,10 +443,66 @@ def _unsettled(settings: 'ServoSettings', with_rules: Callable[['RuleTable'], An
     return swinging(controller)
 
 
+def export(
+    machine_file: Annotated[str, typer.Option(metavar='FILE', help='Machine file of the axis.')],
+    out: Annotated[Path, typer.Option(metavar='FILE.c', help='File to write.')],
+    axis: MachineAxis = '',
+    to: Annotated[str, choice('Language of the file.', ('c',))] = 'c',
+    controller: Annotated[
+        str,
+        choice(
+            'Controller, untuned if it is not that of the machine file.',
+            (*TUNABLE, 'linear_tangent'),
+            default=False,
+        ),
+    ] = '',
+    params: Params = None,
+) -> None:
+    """Write the controller of an axis as one C99 file, for a control's own thread.
+
+    Every duty is that of the Python controller to the last bit, if it is compiled with
+    -ffp-contract=off. The file needs no library, allocates nothing and has no global state; with
+    -DSELF_TEST it repeats recorded steps and says how many differ.
+
+        fuzzycnc servo export --machine-file tuned.yaml --axis X --out axis_x.c
+        cc -DSELF_TEST -std=c99 -O2 -ffp-contract=off axis_x.c -lm && ./a.out
+    """
+    import hashlib
+
+    from fuzzycnc_ros.cli.axes.servo_machine import (
+        machine_axis,
+        machine_controller,
+        own_controller,
+    )
+    from fuzzycnc_ros.studies.servo.c_export import c_controller
+
+    if to != 'c':
+        raise ValueError(f'--to: expected c but found {to!r}')
+    check_new(out)
+    _, axis, data = machine_axis(machine_file, axis)
+    chosen = controller or own_controller(data, params)
+    with warnings_said():
+        made = machine_controller(data, axis, chosen, params)
+    own = Path(machine_file)
+    text = own.read_bytes() if own.exists() else machine_file.encode()
+    write_text(
+        out,
+        c_controller(
+            made,
+            name=f'axis_{axis.lower()}',
+            title=f'{chosen} of the axis {axis}',
+            source=own.name,
+            machine_hash=hashlib.sha256(text).hexdigest(),
+        ),
+    )
+    say(f'{out}: {chosen} of {axis}; compile it with -ffp-contract=off')
+
+
 COMMANDS: dict[str, Callable[..., Any]] = {
     'compare': compare,
     'learn': learn,
     'tune': tune,
     'stability': stability,
+    'export': export,
 }
 """The subcommands in the order of the help."""
