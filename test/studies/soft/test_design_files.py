@@ -140,7 +140,7 @@ def test_paths_of_svg_become_runs_in_millimetres_with_y_upwards(tmp_path):
     np.testing.assert_allclose(np.hypot(*(circle - [0.07, -0.03]).T), 0.012, atol=3e-5)
     np.testing.assert_allclose(np.hypot(*np.diff(circle, axis=0).T), STEP, rtol=0.03)
     assert found.notes == ['left out: 1 text elements']
-    with pytest.raises(ValueError, match='--step: expected'):
+    with pytest.raises(ValueError, match='expected a stitch step'):
         read_design(tmp_path / 'a.svg', None)
 
 
