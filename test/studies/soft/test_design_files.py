@@ -4,11 +4,8 @@
 
 from itertools import pairwise
 
-import ezdxf
 import numpy as np
-import pyembroidery as pe
 import pytest
-from designs import embroidery
 
 from fuzzycnc_ros.core.deformation.stitch_design import Move, placed_design
 from fuzzycnc_ros.studies.soft.design_files import (
@@ -19,6 +16,12 @@ from fuzzycnc_ros.studies.soft.design_files import (
     stitch_lengths,
     write_design,
 )
+
+_MISSING = "it is missing: pip install 'fuzzycnc_ros[designs]'"
+ezdxf = pytest.importorskip('ezdxf', reason=_MISSING)
+pe = pytest.importorskip('pyembroidery', reason=_MISSING)
+pytest.importorskip('svgelements', reason=_MISSING)
+embroidery = pytest.importorskip('designs').embroidery
 
 STEP = 3e-3
 MOVING = (pe.STITCH, pe.JUMP)
