@@ -22,7 +22,7 @@ from fuzzycnc_ros.cli.console import (
 )
 from fuzzycnc_ros.cli.options import OptionalPath, OptionalText, Report, choice, given
 from fuzzycnc_ros.cli.soft.compensate import compensate, read_model_file
-from fuzzycnc_ros.cli.soft.trial import measure, pattern, simulate
+from fuzzycnc_ros.cli.soft.trial import measure, simulate, write_trial
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.studies.soft.foam_records import Samples
@@ -328,7 +328,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     'train': train,
     'compensate': compensate,
     'learn': learn,
-    'pattern': pattern,
+    'pattern': write_trial,
     'measure': measure,
     'simulate': simulate,
 }

@@ -42,7 +42,7 @@ Thickness = Annotated[
 Depth = Annotated[str, typer.Option(metavar='LENGTH', help='Feed depth, such as 6mm.')]
 
 
-def pattern(
+def write_trial(
     out: Annotated[
         Path, typer.Option(metavar='FILE', help='The pattern: .dst .pes .jef .svg .csv .ngc ...')
     ],
@@ -285,7 +285,7 @@ def _planned(
     counts = [[len(run) for run in side] for side in (planned, runs)]
     if counts[0] != counts[1]:
         raise ValueError(
-            f'--stitched {stitched}: expected the stitches of {pattern}, {sum(counts[0])} in '
+            f'{stitched}: expected the stitches of {pattern}, {sum(counts[0])} in '
             f'{len(counts[0])} runs, but found {sum(counts[1])} in {len(counts[1])}; compensate '
             'it without splitting or merging stitches'
         )

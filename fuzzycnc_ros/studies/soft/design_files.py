@@ -160,7 +160,7 @@ def read_design(path: Path, step: float | None, unit: float = 1e-3) -> DesignFil
     if ending in DRAWN:
         if step is None:
             raise ValueError(
-                f'--step: expected with a drawing, such as {path.name}, but found none'
+                f'{path}: expected a stitch step, which a drawing has not, but found none'
             )
         lines, notes = (_svg_lines if ending == '.svg' else _dxf_lines)(path, unit)
         _check_extent(path, np.concatenate([np.zeros((1, 2)), *lines]))
@@ -168,7 +168,7 @@ def read_design(path: Path, step: float | None, unit: float = 1e-3) -> DesignFil
         if way > STITCHES_MAX * step:
             raise ValueError(
                 f'{path}: expected at most {STITCHES_MAX:,} stitches but found lines of '
-                f'{way:.3g} m at {1e3 * step:g} mm a stitch; give a longer --step'
+                f'{way:.3g} m at {1e3 * step:g} mm a stitch; take a longer step'
             )
         runs = [run for run in (stitches_along(line, step) for line in lines) if len(run) > 1]
         found = DesignFile(Design.of_runs(runs), None, notes)

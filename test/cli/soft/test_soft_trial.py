@@ -4,6 +4,7 @@
 
 import csv
 import json
+import os
 
 import numpy as np
 import pytest
@@ -70,6 +71,19 @@ def test_a_design_is_learnt_from_photographs_of_two_rounds(done, tmp_path):
         options = ('--model', 'offsets.json', *SHEET, '--stitch-min', '0mm', '--out', 'now.dst')
         done('compensate', 'quilt.dst', *options)
     assert found[2] < found[0] / 3.0
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_tutorial_work(fuzzycnc, tmp_path, root):
+    page = (root / 'docs' / 'tutorials' / 'straight-patterns.md').read_text()
+    drawing = page.split('```xml\n')[1].split('```')[0]
+    (tmp_path / 'quilt.svg').write_text(drawing)
+    lines = [line.strip() for line in page.splitlines() if line.startswith('    fuzzycnc ')]
+    assert len(lines) == 6
+    for line in lines:
+        outcome = fuzzycnc(*line.split()[1:])
+        assert outcome.code == 0, (line, outcome)
+    assert {'marks.svg', 'model.json', 'quilt.html', 'quilt.png'} <= set(os.listdir(tmp_path))
 
 
 def test_a_trial_gives_the_samples_of_its_lines(done, tmp_path):

@@ -4,11 +4,8 @@
 
 from itertools import pairwise
 
-import ezdxf
 import numpy as np
-import pyembroidery as pe
 import pytest
-from designs import embroidery
 
 from fuzzycnc_ros.core.deformation.stitch_design import Move, placed_design
 from fuzzycnc_ros.studies.soft.design_files import (
@@ -19,6 +16,12 @@ from fuzzycnc_ros.studies.soft.design_files import (
     stitch_lengths,
     write_design,
 )
+
+_MISSING = "it is missing: pip install 'fuzzycnc_ros[designs]'"
+ezdxf = pytest.importorskip('ezdxf', reason=_MISSING)
+pe = pytest.importorskip('pyembroidery', reason=_MISSING)
+pytest.importorskip('svgelements', reason=_MISSING)
+embroidery = pytest.importorskip('designs').embroidery
 
 STEP = 3e-3
 MOVING = (pe.STITCH, pe.JUMP)
@@ -140,7 +143,7 @@ def test_paths_of_svg_become_runs_in_millimetres_with_y_upwards(tmp_path):
     np.testing.assert_allclose(np.hypot(*(circle - [0.07, -0.03]).T), 0.012, atol=3e-5)
     np.testing.assert_allclose(np.hypot(*np.diff(circle, axis=0).T), STEP, rtol=0.03)
     assert found.notes == ['left out: 1 text elements']
-    with pytest.raises(ValueError, match='--step: expected'):
+    with pytest.raises(ValueError, match='expected a stitch step'):
         read_design(tmp_path / 'a.svg', None)
 
 

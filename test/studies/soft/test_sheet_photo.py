@@ -18,6 +18,8 @@ from fuzzycnc_ros.studies.soft.sheet_marks import (
 )
 from fuzzycnc_ros.studies.soft.sheet_photo import measure_runs, read_photo, sheet_view
 
+pytest.importorskip('cv2', reason="it is missing: pip install 'fuzzycnc_ros[camera]'")
+
 SIZE = (0.2, 0.12)
 MARKS = marks_around(SIZE)
 RUNS = trial_runs(trial_plan(8, 3e-3), SIZE, 16e-3)
