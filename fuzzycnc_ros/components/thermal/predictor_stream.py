@@ -245,6 +245,7 @@ class Probe:
                     deviation[columns],
                 )
         rows = zip(self.channel, self.axis, self.error, self.deviation, self.offset, strict=True)
+        taken: dict[int, list[Floats]] = {}
         for name, moved, *values in rows:
             if moved in along:
                 continue
@@ -254,7 +255,11 @@ class Probe:
                 column = axis.index(moved)
             else:
                 continue
-            found[:, column] = values
+            taken.setdefault(column, []).append(np.array(values))
+        for column, told in taken.items():
+            # Several places of an axis of which one error is expected tell their mean.
+            known = [item for item in told if np.isfinite(item[0])] or told[:1]
+            found[:, column] = sum(known[1:], known[0]) / len(known)
         return found[0], found[1], found[2]
 
 

@@ -88,6 +88,13 @@ def test_the_axis_may_have_moved_between_two_read_backs():
     assert told.offset == pytest.approx([15e-6])
 
 
+def test_places_tell_a_model_without_a_slope_their_mean():
+    (told,) = taken(probe([-0.4, -0.2, 0.0], [20e-6, np.nan, -10e-6]))
+    error, noise, _ = told.of_channels(('Y', 'Z'), ('Y', 'Z'), np.zeros(2), np.full(2, 1e-3))
+    assert error == pytest.approx([5e-6, np.nan], nan_ok=True)
+    assert noise[0] == pytest.approx(1e-6)
+
+
 def test_channels_that_are_named_are_taken_as_they_are():
     (told,) = taken(
         Displacement(
