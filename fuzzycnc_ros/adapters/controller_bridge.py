@@ -483,6 +483,8 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         spacing = ON_THE_WAY if self.moving and not changed else 0.0
         if self._due('applied', (cause, offsets), spacing):
             told = self._applied(code, reason, status.applied, limited)
+            lines = self._travel_of(status).lines(self._input.applied, self._reference)
+            told = replace(told, slope=lines.slope, position=status.position.copy())
             yield Emission('compensation_applied', told)
 
     def _move(self, position: Floats) -> None:

@@ -133,6 +133,8 @@ def test_line_follows_the_axis_between_two_cycles():
     rig.run(0.5)
     assert rig.at((-10, 0, 0))
     assert not rig.last.at_limit.any()
+    np.testing.assert_allclose(rig.last.slope, [1e-4, 0, 0], atol=1e-15)
+    np.testing.assert_allclose(rig.last.position, [-0.1, 0, 0])
 
 
 def test_line_is_cut_where_it_is_too_large_and_nowhere_else():

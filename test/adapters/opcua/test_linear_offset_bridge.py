@@ -43,6 +43,8 @@ def test_line_is_handed_over_and_follows_the_axis():
     rig.control.position = np.array([0.3, 0.0])
     rig.run(3.0)
     assert rig.at((30, 5))
+    np.testing.assert_allclose(rig.last.slope, [1e-4, 0.0], atol=1e-15)
+    np.testing.assert_allclose(rig.last.position, [0.3, 0.0])
 
 
 def test_a_line_moves_nowhere_on_the_travel_faster_than_the_slew_limit():
