@@ -67,7 +67,7 @@ def test_commands_are_proposed_without_loading_any(root):
         ('fuzzycnc train --mod', ['--model', '--models']),
         (
             'fuzzycnc demo --scenario ',
-            ['thermal', 'learn', 'contour', 'pattern', 'shift', 'linuxcnc'],
+            ['thermal', 'learn', 'axis', 'contour', 'pattern', 'shift', 'linuxcnc'],
         ),
         ('fuzzycnc demo --scenario = sh', ['shift']),
         ('fuzzycnc train --model lag', ['lag_ridge', 'lag_ridge_speed', 'lag_ridge_drives']),

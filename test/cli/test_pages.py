@@ -30,6 +30,7 @@ ELSEWHERE = {
     'machine new mill.yaml --linuxcnc-ini ~': 'an INI file of the reader',
     'operate status  # ': 'needs a DDS with security, which the wheels do not have',
     'operate activate  # ': 'the same',
+    'operate probe X=3um@': 'needs a predictor that runs: test/cli/live reads such values',
     'fleet evaluate shop --dask': 'needs a scheduler of Dask: test/cli/fleet starts one',
 }
 """Beginnings of commands that are not run here, and why."""
