@@ -34,8 +34,7 @@ _UNFIT = 0.7
 
 _HELD = 0.15
 """Force that grows with the position from which a model without it is not fit for control, at the
-end
-of the way as share of the drive [-]."""
+end of the way as share of the drive [-]."""
 
 _KNOWN_TO = 4.0
 """Frequency up to which a response has to be known at least [Hz]."""

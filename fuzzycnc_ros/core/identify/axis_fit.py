@@ -143,8 +143,7 @@ _SHORT = 10
 
 _FOLLOWS, _SPEED_RATE = 0.5, 50.0
 """Correlation of command and speed from which the one follows the other at once [-], and the rate
-at
-which it is then taken to do so at first [1/s]."""
+at which it is then taken to do so at first [1/s]."""
 
 _HORIZONS = (20, 5, 1)
 """Stretches into which a recording is cut for the fit to all data, which heeds all alike.

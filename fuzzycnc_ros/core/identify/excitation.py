@@ -117,9 +117,8 @@ def position_program(limits: ExcitationLimits, period: float) -> Array:
 def duty_program(limits: ExcitationLimits, period: float) -> Array:
     """Return duties that are added to what holds the axis in the middle of its travel.
 
-    Steps back and forth whose length keeps speed and way within the limits, as far as full
-    duty gives
-    no more than four times the acceleration; on these a chirp.
+    Steps back and forth whose length keeps speed and way within the limits, as far as full duty
+    gives no more than four times the acceleration; on these a chirp.
 
     Parameters
     ----------

@@ -45,12 +45,10 @@ _DECAY = 0.01
 
 _UNKNOWN, _UNKNOWN_MAX, _UNKNOWN_OCTAVES = 2.3, 9.3, 4.0
 """Response over that of the model where an unknown mode may begin, the largest one, and the ratio
-of
-the frequencies between the two [-].
+of the frequencies between the two [-].
 
 A mode of 5 % damping raises the response tenfold, but one that strong so near to what is known
-would
-show there.
+would show there.
 """
 
 _FORCES, _WEAK = 20.0, 0.7

@@ -17,8 +17,7 @@ from fuzzycnc_ros.core.servo.friction import ReferenceFriction
 
 _TAKEN_BACK, _LEAST = 0.5, 0.2
 """Share of the gain that a loop which is unstable goes on with, and what it has to have left
-before
-the last such step [-]."""
+before the last such step [-]."""
 
 
 def closed_loop(

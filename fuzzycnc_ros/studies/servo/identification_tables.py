@@ -81,8 +81,7 @@ def axis_fit_table(found: IdentifiedAxis, title: str) -> Table:
 
 _TOLD, _PERIODS = 4.0, 0.5
 """Ratio of the ends of an interval up to which a dead time is told, and its upper end in periods
-up
-to which it is as good as none."""
+up to which it is as good as none."""
 
 
 def axis_fit_remarks(found: IdentifiedAxis, force: float | None) -> list[Remark]:

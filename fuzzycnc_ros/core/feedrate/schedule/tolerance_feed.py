@@ -37,11 +37,10 @@ a line: with 1.5 such arcs of 0.5 mm leave twice a tolerance of 10 um.
 class ToleranceFeed(Scheduler):
     """Feed v = sqrt(tolerance / (margin C curvature)), with a guard and an approach to bends.
 
-    A machine whose contour error is C times its normal acceleration keeps the tolerance by it.
-    The law comes from a fuzzy scheduler (docs/explanation/methods/feedrate.md) whose inputs have
-    no units: log10(curvature feed_max^2 C / tolerance), how many decades of contour error
-    full feed would leave above the tolerance, against the logarithm of the ratio.  Weighted by
-    their
+    A machine whose contour error is C times its normal acceleration keeps the tolerance by it. The
+    law comes from a fuzzy scheduler (docs/explanation/methods/feedrate.md) whose inputs have no
+    units: log10(curvature feed_max^2 C / tolerance), how many decades of contour error full feed
+    would leave above the tolerance, against the logarithm of the ratio.  Weighted by their
     memberships, its rules lie on this straight line (`benchmarks/fuzzy_worth_feedrate.py`), so
     that none are left.  A path and its enlargement get the same ratios.
 
