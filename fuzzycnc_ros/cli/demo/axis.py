@@ -2,15 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenario `axis` of the demo: a day whose largest error lies along the axes, live over DDS."""
 
-import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from fuzzycnc_ros.cli.demo.steps import RUN_TIMEOUT, Outcome, Steps, ended, lockstep_graph
-from fuzzycnc_ros.ros.bring_up import NodeSpec
+from fuzzycnc_ros.cli.demo.steps import Outcome, Steps
+from fuzzycnc_ros.cli.demo.whole_days import run_days
 
-MACHINE = 'mill'
 CANDIDATES = ('least_squares', 'static_ridge', 'lag_ridge', 'lag_ridge_speed')
 """What is tried: quick, and as good here as the rest."""
 
@@ -32,7 +29,6 @@ class AxisResult:
 
 def axis(out: Path, seed: int, progress: Steps) -> Outcome:
     """Run the scenario; its replay is to be identical."""
-    from fuzzycnc_ros.bags.replay import replay
     from fuzzycnc_ros.core.thermal.fit import train_model
     from fuzzycnc_ros.studies.shift.axis_days import (
         INTERVAL,
@@ -57,47 +53,25 @@ def axis(out: Path, seed: int, progress: Steps) -> Outcome:
     given = day_parameters((WORK,), seed, probed=True, cautious=False)
     given['thermal_predictor'] |= {'model': str(file)}
     given['compensator'] |= {'autostart': True}
-    specs = [NodeSpec(name, {'lockstep': True, **values}) for name, values in given.items()]
-    with lockstep_graph(MACHINE, specs, out / 'bag', out / 'log') as graph:
-        started = time.monotonic()
-        with progress.step(f'ran the day {WORK} live over DDS, in lock-step'):
-            graph.wait('simulated_machine', RUN_TIMEOUT)
-        live_s = time.monotonic() - started
-        outcome: dict[str, Any] = ended(graph)
-    with progress.step('replayed the bag and compared every output'):
-        replayed = replay(out / 'bag')
+    run = run_days(given, f'day {WORK}', out, progress)
     days = axis_days(ShiftLog.from_bag(out / 'bag'), (WORK,), SCREWS)
-    ticks = int(outcome.get('ticks', 0))
     result = AxisResult(
         axes={item.axis: item.figures() for day in days for item in day},
         model=dict(zip(model.channel, model.default, strict=True)),
         wall_s=0.0,
-        hash=replayed.hash,
-        replay_identical=replayed.identical,
-        degraded=bool(outcome.get('degraded', True)),
-        ticks=ticks,
-        ticks_per_second=round(ticks / live_s, 1),
         seed=seed,
+        **run._asdict(),
     )
     facts = {
         'Machine': f'simulated mill with ball screws on Y and Z, duty {WORK}, noise seed {seed}',
         'Model': 'trained on two calibration runs; offset and slope of each axis',
         'Probes': f'at both ends of each axis, every {PROBE_EVERY / 60.0:g} min',
-        'Ticks': f'{ticks}, {result.ticks_per_second:.0f} per second over DDS',
-        'Replay': 'identical' if replayed.identical else 'differs',
-        'Canonical hash': replayed.hash,
+        **run.facts(),
     }
     return Outcome(
         result,
         lambda: axis_page(days, facts),
         (axis_table(days),),
-        (
-            axis_line(days),
-            f'replay of the bag: {"identical" if replayed.identical else "DIFFERS"}, '
-            f'hash {replayed.hash[:16]}',
-            f'{ticks} ticks at {result.ticks_per_second:.0f} per second',
-        ),
-        ''
-        if replayed.identical and not result.degraded
-        else 'the run was degraded or its replay differs; see the report',
+        (axis_line(days), *run.lines()),
+        run.problem(),
     )
