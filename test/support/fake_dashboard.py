@@ -61,6 +61,7 @@ def axis(name: str, **changes: Any) -> dict[str, Any]:
         'limited': [],
         'probe': None,
         'stable_in': 1200.0,
+        'along': None,
         **changes,
     }
 

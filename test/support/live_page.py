@@ -198,6 +198,20 @@ def operator_fields(view: dict[str, Any]) -> dict[str, str]:
     return found
 
 
+def along_travel(along: dict[str, Any] | None, name: str, band: str = '') -> str:
+    """Return values at places of an axis, with their band, as the page writes them."""
+    if along is None:
+        return '\u2013'
+    spread = along[band] if band else along[name]
+    places = [
+        number(None if place is None else 1e3 * place, 3, 'mm') for place in along['position']
+    ]
+    return ', '.join(
+        f'{place}: {micro(value, 1, signed=True)}' + (f' ± {micro(width)}' if band else '')
+        for place, value, width in zip(places, along[name], spread, strict=True)
+    )
+
+
 def offset_rows(view: dict[str, Any]) -> list[list[str]]:
     """Return the rows of the table of offsets."""
     return [
@@ -213,6 +227,8 @@ def offset_rows(view: dict[str, Any]) -> list[list[str]]:
                 3,
                 'mm',
             ),
+            along_travel(axis['along'], 'error', 'band'),
+            along_travel(axis['along'], 'offset'),
             limits(axis['limited']) or 'nothing',
         ]
         for axis in view['axes']

@@ -49,6 +49,11 @@ def random_view(seed):
             band=some(0, 1e-5),
             limited=draw.sample(['clamp', 'slew', 'machine'], draw.randint(0, 3)),
             stable_in=some(0, 2e5),
+            along=draw.choice(
+                [None, {key: [some(-most, most) for _ in range(3)]
+                        for key, most in (('position', 1), ('error', 1e-4), ('offset', 1e-4))}
+                       | {'band': [some(0, 1e-5) for _ in range(3)]}]
+            ),
             probe=draw.choice(
                 [None, {'measured': some(-1e-4, 1e-4), 'predicted': some(-1e-4, 1e-4),
                         'age': some(0, 1e5)}]

@@ -43,7 +43,7 @@ function facts(title, entries) {
 
 /** Values at both ends and the middle of an axis whose error slopes, each with its band. */
 function alongTravel(along, name, band = null) {
-  if (along === null) return UNKNOWN;
+  if (!along) return UNKNOWN;
   return along.position.map((place, at) => {
     const spread = band === null ? '' : ` ± ${micrometres(along[band][at], {digits: 1})}`;
     return `${millimetres(place)}: ${micrometres(along[name][at], {signed: true, digits: 1})}${spread}`;
