@@ -16,6 +16,7 @@ from rosgraph_msgs.msg import Clock
 from tiers import rest_slow
 
 from fuzzycnc_ros.bags.replay import replay
+from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode
@@ -33,7 +34,8 @@ pytestmark = pytest.mark.ros
 
 STREAM = Durability.STREAM
 AXES = ('Y', 'Z')
-OFFSET_MAX, SLEW_MAX = 50e-6, 0.1e-6  # the compensator's defaults
+LIMITS = CompensatorConfig()
+OFFSET_MAX, SLEW_MAX = LIMITS.offset_max, LIMITS.slew_max
 
 
 class Machine:
