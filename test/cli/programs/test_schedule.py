@@ -299,6 +299,17 @@ def test_a_curve_with_a_cusp_is_driven(fuzzycnc):
     assert fuzzycnc('schedule', 'cusp.ngc', *options).code in (0, 1)
 
 
+@pytest.mark.filterwarnings('error')
+def test_a_curve_that_ends_in_equal_control_points_is_rounded_without_a_warning(fuzzycnc):
+    """Its bend at the end has no bound, nor has that of a first rounding beside it."""
+    points = ((10, 5), (10, 5), (10, 5), (20, 0), (30, 0), (30, 0), (30, 0))
+    lines = ('G21 G17 G90 G64 P0.02', 'F3000', 'G5.2 P1 L3 X0 Y0')
+    curve = (f'X{x} Y{y} P1' for x, y in points)
+    Path('ends.ngc').write_text('\n'.join([*lines, *curve, 'G5.3', 'M2', '']))
+    done = fuzzycnc('schedule', 'ends.ngc', '--tolerance', '0.02mm', '--out', 'out.ngc')
+    assert done.code in (0, 1), done.err
+
+
 @pytest.mark.parametrize(
     ('option', 'said'),
     [

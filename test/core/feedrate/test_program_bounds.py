@@ -25,8 +25,8 @@ def test_lengths_of_no_machine_are_refused(letter, number):
 @pytest.mark.parametrize(
     ('line', 'said'),
     [
-        ('G2 X0 Y0 I1 J0 P100000000', 'no more than 1,000 turns of an arc but found 99,999,999'),
-        ('G3 X0 Y0 Z5 I1 J0 P1002', 'no more than 1,000 turns of an arc but found 1,001'),
+        ('G2 X0 Y0 I1 J0 P100000000', 'no more than 1,001 turns of an arc but found 100,000,000'),
+        ('G3 X0 Y0 Z5 I1 J0 P1002', 'no more than 1,001 turns of an arc but found 1,002'),
         ('G2 X0 Y0 I1 J0 TURN=2000', 'no more than 1,000 turns of an arc but found 2,000'),
         ('G4 P' + '9' * 200, r'at least 0 s and at most 1e\+07 s'),
         ('G1 X1 F0.' + '0' * 30 + '1', r'a feed from 0\.001 to 1e\+09 but found F1e-31'),

@@ -355,22 +355,24 @@ TURNS_IN_ALL = 10_000
 def _extra_turns(words: dict[str, float | None], number: int, state: State) -> int:
     """Return the full turns on top: P counts all begun turns, TURN= the ones on top."""
     turns = words.get('TURN')
+    first = 0.0
     if turns is None:
-        turns = (words.get('P') or 1.0) - 1.0
+        first = 1.0
+        turns = (words.get('P') or first) - first
     if turns < 0.0 or turns != int(turns):
         raise ProgramError(
             number, 'expected a whole number of turns of an arc, P from 1 or TURN= from 0'
         )
     state.turns += int(turns)
     for found, most, where in (
-        (turns, TURNS_MAX, 'an arc'),
+        (turns + first, TURNS_MAX + first, 'an arc'),
         (state.turns, TURNS_IN_ALL, 'all arcs of a program'),
     ):
         if found > most:
             raise ProgramError(
                 number,
-                f'expected no more than {most:,} turns of {where} but found {found:,.0f}; of no '
-                'machine',
+                f'expected no more than {most:,.0f} turns of {where} but found {found:,.0f}; '
+                'of no machine',
             )
     return int(turns)
 

@@ -280,7 +280,9 @@ def _distance_bound(shapes: Shapes, index: NDArray[np.intp], made: _Rounding) ->
         base = _beside(shapes, index, place, ahead)
         path = _between(base.point, base.tangent, base.bend, np.diff(place, axis=1))
         pieces = slice(0, middle) if side == 0 else slice(middle, None)
-        away = vector_lengths(made.coefficient[:, pieces] - path)
+        # Beside a cusp the bend has no bound: what no number holds is beyond each tolerance.
+        with np.errstate(over='ignore'):
+            away = vector_lengths(made.coefficient[:, pieces] - path)
         found = np.maximum(found, away.max(axis=(1, 2)))
     return found
 
