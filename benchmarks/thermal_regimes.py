@@ -132,11 +132,15 @@ class RegimeBasis(Basis):
         return np.append(self.plain.initial_state(), np.zeros(len(LAGS)))
 
     def step(
-        self, rise: np.ndarray, speed: float, state: np.ndarray
+        self,
+        rise: np.ndarray,
+        speed: float,
+        state: np.ndarray,
+        motion: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the features of a sample and the next state."""
         slow = Slow(*state[-len(LAGS) :]).next(rise, speed, self.interval)
-        features, lags = self.plain.step(rise, speed, state[: -len(LAGS)])
+        features, lags = self.plain.step(rise, speed, state[: -len(LAGS)], motion)
         parts = np.split(features, [self.plain.of_rises])
         degree = self.membership(slow)
         both = [values for part in parts for values in (part, degree * part)]
@@ -171,7 +175,9 @@ def regime_learner(
 ) -> Learner:
     """Return a learner with regimes."""
     learner = Learner(basis, channels)
-    learner.basis = RegimeBasis(basis.sensors, basis.speed, basis.interval, basis.lags, membership)
+    learner.basis = RegimeBasis(
+        basis.sensors, basis.speed, basis.interval, basis.lags, membership=membership
+    )
     learner.posteriors = tuple(RegimePosterior(learner.basis, share) for _ in range(channels))
     learner.rest()
     return learner
