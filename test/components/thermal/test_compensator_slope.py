@@ -10,7 +10,7 @@ from benches.component_bench import Bench, applied, machine_state, thermal_error
 
 from fuzzycnc_ros.components.thermal.compensator import Compensator, CompensatorConfig
 from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
-from fuzzycnc_ros.runtime.records import Compensation
+from fuzzycnc_ros.runtime.records import Compensation, CompensationApplied
 
 MICRON = 1e-6
 SLOPING = CompensatorConfig(
@@ -125,6 +125,18 @@ def test_a_travel_that_is_none_is_refused(text):
     assert repr(text) in str(refusal.value)
 
 
+def in_force(command: Compensation) -> CompensationApplied:
+    """Return what a machine tells that follows a command."""
+    told = applied(1e-9 * command.stamp, command.offset, command.epoch)
+    return replace(
+        told,
+        stamp=command.stamp,
+        slope=command.slope,
+        position=command.reference_position,
+        status=int(AppliedStatus.FOLLOWING),
+    )
+
+
 def check_random_errors(steps: int) -> None:
     """Hold every command to the limits at every place of the travel."""
     rng = np.random.default_rng(48)
@@ -168,6 +180,8 @@ def check_random_errors(steps: int) -> None:
                 elapsed = min(1e-9 * (command.stamp - earlier), config.period)
                 assert np.abs(offsets - last).max() <= config.slew_max * elapsed + 1e-12
             before = (offsets, command.stamp)
+        if commands:
+            bench.give('compensation_applied', in_force(commands[-1]))
     assert number > steps / 3
 
 
