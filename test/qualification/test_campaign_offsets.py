@@ -37,7 +37,7 @@ def test_a_graph_that_follows_is_safe():
         ('compensation_applied', lambda t: applied(t, 12.0), 'applied offset moved by 7.00 um'),
         ('compensation', lambda t: command(t, 50.5), 'exceeds the clamp'),
         ('compensation', lambda t: command(t, np.nan), 'told offset is not finite'),
-        ('compensation', lambda t: command(t, 6.5), 'told offset moved by 1.50 um'),
+        ('compensation', lambda t: command(t, 7.5), 'told offset moved by 2.50 um'),
     ],
 )
 def test_one_sample_beyond_a_limit_is_unsafe(topic, make, why):

@@ -12,10 +12,10 @@ from fuzzycnc_ros.cli.console import check_new, say, write_text
 
 HELP = """Install and check what a LinuxCNC needs for offsets along its axes.
 
-    sudo fuzzycnc linuxcnc install mill.ini
+    fuzzycnc linuxcnc install mill.ini
     fuzzycnc linuxcnc check mill.ini
 
-docs/how-to/linuxcnc.md says what follows.
+Installing takes the rights to write among LinuxCNC's modules: use sudo. docs/how-to/linuxcnc.md has the rest.
 """
 
 Ini = Annotated[
