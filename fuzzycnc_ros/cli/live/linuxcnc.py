@@ -15,7 +15,7 @@ HELP = """Install and check what a LinuxCNC needs for offsets along its axes.
     fuzzycnc linuxcnc install mill.ini
     fuzzycnc linuxcnc check mill.ini
 
-Installing takes the rights to write among LinuxCNC's modules: use sudo. docs/how-to/linuxcnc.md has the rest.
+Installing writes among the modules of LinuxCNC: use sudo. docs/how-to/linuxcnc.md has the rest.
 """
 
 Ini = Annotated[
@@ -27,9 +27,9 @@ def install(ini: Ini) -> None:
     """Build the realtime component, write the HAL file, show which lines the INI file lacks.
 
     The component is built by LinuxCNC's halcompile and installed among its modules, which takes
-    the rights to write there. The HAL file goes beside the INI file, which stays as it is.
+    the rights to write there (sudo). The HAL file goes beside the INI file, which stays as it is.
 
-        sudo fuzzycnc linuxcnc install ~/linuxcnc/configs/mill/mill.ini
+        fuzzycnc linuxcnc install ~/linuxcnc/configs/mill/mill.ini
     """
     from fuzzycnc_ros.adapters.linuxcnc.component import (
         hal_text,
