@@ -62,7 +62,9 @@ def install(ini: Ini) -> None:
 def check(ini: Ini) -> None:
     """Check versions, the component, the HAL file and the INI file; ends with 1 if one lacks.
 
-    fuzzycnc linuxcnc check ~/linuxcnc/configs/mill/mill.ini
+    Nothing is changed; LinuxCNC may run meanwhile.
+
+        fuzzycnc linuxcnc check ~/linuxcnc/configs/mill/mill.ini
     """
     from fuzzycnc_ros.cli.live import linuxcnc_configuration
 
