@@ -86,8 +86,9 @@ def parse_channel(text: str) -> Channel:
 
     Examples
     --------
-    >>> parse_channel('ch1=-X:um')
-    Channel(column='ch1', axis='X', unit='um', sign=-1)
+    >>> found = parse_channel('ch1=-X:um@-400mm')
+    >>> found.column, found.axis, found.unit, found.sign, found.position
+    ('ch1', 'X', 'um', -1, -0.4)
     """
     match = _CHANNEL.fullmatch(text)
     if match is None:
