@@ -10,7 +10,7 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachine,
     SimulatedMachineConfig,
 )
-from fuzzycnc_ros.components.thermal.compensator import Compensator
+from fuzzycnc_ros.components.thermal.compensator import Compensator, CompensatorConfig
 from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureAcquisition
 from fuzzycnc_ros.components.thermal.thermal_predictor import (
     ThermalPredictor,
@@ -118,7 +118,7 @@ def test_models_change_in_the_middle_of_a_shift_without_a_step(one_run, three_ru
     usual = moved[5:][~fading[6:]].max()
     assert during < usual + 0.5
     assert np.isfinite(applied).all()
-    # 12 s between two ticks at the compensator's 0.1 um/s
-    assert np.abs(np.diff(applied, axis=0)).max() <= 1.2 + 1e-6
+    # 12 s between two ticks at the compensator's slew limit
+    assert np.abs(np.diff(applied, axis=0)).max() <= 12e6 * CompensatorConfig().slew_max + 1e-6
     report = replay(tmp_path / 'bag')
     assert report.identical, [item for item in report.topics if not item.equal]
