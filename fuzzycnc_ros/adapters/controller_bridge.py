@@ -376,6 +376,10 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         self._steep = np.zeros(len(self._axes), bool)
         self._input = self._adopting(self._travel_of(status).ends(lines), self._input.epoch)
 
+    def _lines_in_force(self, status: StatusT) -> Lines:
+        """Return the lines that the guard allows now."""
+        return self._travel_of(status).lines(self._input.applied, self._reference)
+
     def _cut_text(self, status: StatusT, cut: Bools) -> str:
         """Say which limits cut what is asked for; empty if none does."""
         if int(self._input.status) != AppliedStatus.FOLLOWING:
@@ -483,8 +487,8 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         spacing = ON_THE_WAY if self.moving and not changed else 0.0
         if self._due('applied', (cause, offsets), spacing):
             told = self._applied(code, reason, status.applied, limited)
-            lines = self._travel_of(status).lines(self._input.applied, self._reference)
-            told = replace(told, slope=lines.slope, position=status.position.copy())
+            slope = self._lines_in_force(status).slope
+            told = replace(told, slope=slope, position=status.position.copy())
             yield Emission('compensation_applied', told)
 
     def _move(self, position: Floats) -> None:

@@ -262,7 +262,7 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
 
     def _asked_at(self, status: ControllerStatus) -> Floats:
         """Return the offsets of the lines in force where the axes are [m]."""
-        lines = status.travel.lines(self._input.applied, self._reference)
+        lines = self._lines_in_force(status)
         return lines.at(np.where(np.isnan(status.position), 0.0, status.position))
 
     def _beyond(self, status: ControllerStatus) -> Bools:
