@@ -35,8 +35,10 @@ def test_run_in_parts(command, tmp_path):
     assert replay(bag).identical
     for part in parts:  # each begins with the node's configuration
         with BagReader(part) as reader:
-            first = next(iter(reader.messages(['/mill/node_configuration'])))
-            assert first.message.node == NODES
+            latched = list(reader.messages(['/mill/node_configuration']))
+            (own,) = (stored for stored in latched if stored.message.node == NODES)
+            first_output = next(iter(reader.messages(['/mill/temperatures'])))
+            assert own.log_time <= first_output.log_time
 
 
 def accounted_for(item):

@@ -12,6 +12,8 @@ from fuzzycnc_ros.studies.thermal_test.recording import read_test
 from fuzzycnc_ros.studies.thermal_test.report import axes_table, judge_test
 from fuzzycnc_ros.studies.thermal_test.set_up import TestSetUp
 
+pytest.importorskip('mcap', reason="bags need pip install 'fuzzycnc_ros[bags]'")
+
 DISPLACEMENTS = ['far=X:um@-400mm', 'near=X:um@0mm', 'mid=X:um@-200mm', 'z=Z:um']
 
 
