@@ -286,6 +286,18 @@ class CompensationApplied(Record):
         _fill(self, 'slope', value=0.0)
         _fill(self, 'position')
 
+    def offset_at(self, axis: str, place: float) -> float:
+        """Return the offset of an axis at a place [m]; one that takes no offsets has none.
+
+        Where either place is unknown it is the one at which the axis was.
+        """
+        if axis not in self.axis:
+            return 0.0
+        number = self.axis.index(axis)
+        way = place - float(self.position[number])
+        along = float(self.slope[number]) * way if np.isfinite(way) else 0.0
+        return float(self.offset[number]) + along
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MachineState(Record):

@@ -213,7 +213,8 @@ class ProbeCycle(Component[ProbeCycleConfig]):
         if touch.kind == TouchKind.TOUCH:
             if touch.number == len(self._touches) + 1 <= plan.count:
                 axis = plan.place_of(touch.number).axis
-                offset = 0.0 if touch.includes_offset else self._offset(axis)
+                unseen = not touch.includes_offset
+                offset = self._offset(axis, touch.position) if unseen else 0.0
                 self._touches.append(touch.position + offset)
                 self._touched = touch.stamp
                 return
@@ -278,7 +279,7 @@ class ProbeCycle(Component[ProbeCycleConfig]):
         self._touches, self._ended = None, stamp
         self._outcome, self._accepted = '; '.join(found.doubts), True
         self._failures, self._news = 0, True
-        offset = np.array([self._offset(axis) for axis in plan.axes])
+        offset = np.array([self._offset(place.axis, place.position) for place in plan.places])
         yield Emission(
             'displacement',
             Displacement(
@@ -293,12 +294,10 @@ class ProbeCycle(Component[ProbeCycleConfig]):
             ),
         )
 
-    def _offset(self, axis: str) -> float:
-        """Return the offset in force along an axis [m], as it was read back last."""
+    def _offset(self, axis: str, place: float) -> float:
+        """Return the offset in force at a place of an axis [m], as it was read back last."""
         applied = self.last(self.APPLIED)
-        if applied is None or axis not in applied.axis:
-            return 0.0
-        offset = float(applied.offset[applied.axis.index(axis)])
+        offset = 0.0 if applied is None else applied.offset_at(axis, place)
         return offset if isfinite(offset) else 0.0
 
     @staticmethod

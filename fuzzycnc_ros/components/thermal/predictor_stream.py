@@ -372,7 +372,7 @@ class ProbeSource:
         share = (record.stamp - before[0].stamp) / span if span else 0.0
         offsets = []
         for axis, place in zip(record.axis, record.position.tolist(), strict=True):
-            first, second = (_offset_of(item, axis, place) for item in (before[0], after[0]))
+            first, second = (item.offset_at(axis, place) for item in (before[0], after[0]))
             if abs(second - first) > self._noise:
                 raise ValueError(
                     f'compensation of {axis} moved by {1e6 * abs(second - first):.1f} um between '
@@ -380,19 +380,6 @@ class ProbeSource:
                 )
             offsets.append(first + share * (second - first))
         return np.array(offsets)
-
-
-def _offset_of(applied: CompensationApplied, axis: str, place: float) -> float:
-    """Return the offset of an axis at a place [m]; one that takes no offsets has none.
-
-    Where either place is unknown it is the one at which the axis was.
-    """
-    if axis not in applied.axis:
-        return 0.0
-    number = applied.axis.index(axis)
-    way = place - float(applied.position[number])
-    along = float(applied.slope[number]) * way if np.isfinite(way) else 0.0
-    return float(applied.offset[number]) + along
 
 
 @dataclass(frozen=True, eq=False)

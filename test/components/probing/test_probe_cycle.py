@@ -4,7 +4,7 @@
 
 import numpy as np
 import pytest
-from benches.probe_rig import MICRON, ProbeRig, sphere, zeroed
+from benches.probe_rig import MICRON, ProbeRig, sphere, two_blocks, zeroed
 
 from fuzzycnc_ros.components.probing.probe_cycle import ProbeCycle
 from fuzzycnc_ros.core.probing.plan import ProbePlan
@@ -47,6 +47,20 @@ def test_offsets_that_move_during_a_cycle_are_taken_off_touch_by_touch():
     rig.tell(TouchKind.END, 0)
     wanted = np.array([7.0, -12.5]) + rig.offset
     np.testing.assert_allclose(rig.probes[-1].displacement / MICRON, wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize('told', [False, True])
+def test_with_a_slope_in_force_each_place_has_its_own_offset(told):
+    rig = zeroed(plan=two_blocks())
+    rig.includes_offset = told
+    near, far = (place.position for place in rig.plan.places)
+    rig.error, rig.offset, rig.slope = {'Y': 7.0, 'Z': 0.0}, [-30.0, 0.0], [200.0, 0.0]
+    rig.cycle()
+    probe = rig.probes[-1]
+    offset = [rig.applied.offset_at('Y', place) for place in (near, far)]
+    assert abs(offset[1] - offset[0]) > 20 * MICRON
+    # The touch is a slope times the error away from its place.
+    np.testing.assert_allclose((probe.displacement - offset) / MICRON, 7.0, atol=0.02)
 
 
 def test_the_spread_is_the_noise():

@@ -85,7 +85,9 @@ def machine_state(time: float, **changes: Any) -> MachineState:
     return MachineState(stamp=nanoseconds(time), frame_id='mill/machine', **(values | changes))
 
 
-def applied(time: float, offset: Any = (0.0, 0.0), epoch: int = 0) -> CompensationApplied:
+def applied(
+    time: float, offset: Any = (0.0, 0.0), epoch: int = 0, **changes: Any
+) -> CompensationApplied:
     """Return the read-back of offsets [m]."""
     return CompensationApplied(
         stamp=nanoseconds(time),
@@ -96,6 +98,7 @@ def applied(time: float, offset: Any = (0.0, 0.0), epoch: int = 0) -> Compensati
         axis=('Y', 'Z'),
         offset=np.array(offset, dtype=np.float64),
         at_limit=np.zeros(2, bool),
+        **changes,
     )
 
 

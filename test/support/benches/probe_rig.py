@@ -3,6 +3,7 @@
 """A component `probe_cycle`, and a probe that touches where the thermal error puts things."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -52,6 +53,15 @@ def sphere() -> ProbePlan:
     )
 
 
+def two_blocks() -> ProbePlan:
+    """Return a cycle on two faces, at either end of Y."""
+    places = tuple(
+        Place(f'at {y}', 'Y', y, (Touch((0.05, y + 0.003, -0.12), y, y - 0.001),))
+        for y in (-0.03, -0.17)
+    )
+    return replace(sphere(), places=places)
+
+
 class ProbeRig(Bench):
     """A probing cycle with a machine around it, in seconds and micrometres.
 
@@ -59,8 +69,10 @@ class ProbeRig(Bench):
     ----------
     error : mapping of str to float
         Thermal error of each axis [um].
-    offset : list of float
-        Offsets in force on Y and Z [um].
+    offset, slope : list of float
+        Offsets in force on Y and Z at zero [um], and their slopes [um/m].
+    applied : CompensationApplied
+        The last read-back.
     includes_offset : bool
         Whether the control tells coordinates with the offset in force.
     """
@@ -69,7 +81,7 @@ class ProbeRig(Bench):
         super().__init__(ProbeCycle(ProbeCycleConfig(**changes)))
         self.plan = plan or sphere()
         self.error: Mapping[str, float] = {'Y': 0.0, 'Z': 0.0}
-        self.offset = [0.0, 0.0]
+        self.offset, self.slope = [0.0, 0.0], [0.0, 0.0]
         self.includes_offset = False
         self.time = 1000.0
         assert self.request('use_plan', plan=self.plan.to_json()).success
@@ -85,12 +97,16 @@ class ProbeRig(Bench):
     def tell(self, kind: TouchKind, number: int, position: float = np.nan) -> None:
         """Tell a touch, two seconds later."""
         self.time += 2.0
-        offset = MICRON * np.array(self.offset)
-        self.push('compensation_applied', applied(self.time, offset))
+        self.applied = applied(
+            self.time,
+            MICRON * np.array(self.offset),
+            slope=MICRON * np.array(self.slope),
+            position=np.zeros(2),
+        )
+        self.push('compensation_applied', self.applied)
         stamp = nanoseconds(self.time)
         if self.includes_offset and kind is TouchKind.TOUCH:
-            axis = self.plan.touches[(number - 1) // self.plan.repeats][1].axis
-            position += MICRON * self.offset['YZ'.index(axis)]
+            position += self.applied.offset_at(self.plan.place_of(number).axis, position)
         record = ProbeTouch(
             stamp=stamp,
             kind=int(kind),
@@ -108,7 +124,8 @@ class ProbeRig(Bench):
         """Make a touch, wrong by so much [um] along its axis."""
         _, place, touch = self.plan.touches[(number - 1) // self.plan.repeats]
         # What the tool is off the workpiece the machine has gone less far.
-        moved = self.error[place.axis] + self.offset['YZ'.index(place.axis)]
+        column = 'YZ'.index(place.axis)
+        moved = self.error[place.axis] + self.offset[column] + self.slope[column] * touch.surface
         self.tell(TouchKind.TOUCH, number, touch.surface - MICRON * (moved - wrong))
 
     def cycle(self, wrong: Mapping[int, float] | None = None) -> None:
