@@ -166,7 +166,8 @@ def check_random_errors(steps: int) -> None:
                 **follow_,
             ),
         )
-        commands = bench.records('compensation')[number:]
+        commands = bench.records('compensation')
+        bench.emitted.clear()
         number += len(commands)
         for command in commands:
             offsets = command.offset[0] + command.slope[0] * (
@@ -185,13 +186,16 @@ def check_random_errors(steps: int) -> None:
     assert number > steps / 3
 
 
-def test_no_place_of_the_travel_is_beyond_the_limit_or_faster_than_slew():
-    check_random_errors(150)
-
-
-@pytest.mark.slow
-def test_no_place_of_the_travel_is_beyond_the_limit_or_faster_than_slew_for_long():
-    check_random_errors(20_000)
+@pytest.mark.parametrize(
+    'steps',
+    [
+        150,
+        pytest.param(40_000, marks=pytest.mark.slow),
+        pytest.param(1_000_000, marks=pytest.mark.qualify),
+    ],
+)
+def test_no_place_of_the_travel_is_beyond_the_limit_or_faster_than_slew(steps):
+    check_random_errors(steps)
 
 
 def test_deactivation_takes_the_whole_line_to_zero():
