@@ -252,7 +252,7 @@ def test_picture_of_the_graph_is_the_declaration():
 def figures(section: str) -> dict[str, list[float]]:
     """Return the rows of the table below a heading of the thermal page: name to numbers."""
     text = (ROOT / 'docs' / 'explanation' / 'methods' / 'thermal.md').read_text()
-    body = text.partition(f'## {section}')[2].partition('\n## ')[0]
+    body = re.split(r'\n##+ ', text.partition(f'## {section}')[2])[0]
     found = {}
     for line in re.findall(r'^\| (.+) \|$', body, re.M):
         name, *cells = (cell.strip(' *') for cell in line.split('|'))
