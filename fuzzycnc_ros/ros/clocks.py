@@ -228,7 +228,7 @@ class StartGate:
         self._complete_since: float | None = None
 
     def open(self) -> bool:
-        """True if the run may start now."""
+        """Return True if the run may start now."""
         missing = self._wanted - set(self._node.get_node_names())
         if missing or not self._matched({}):
             self._complete_since = None

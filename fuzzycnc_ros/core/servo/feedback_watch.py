@@ -293,7 +293,7 @@ class FeedbackWatch:
 
     @property
     def _swings_already(self) -> bool:
-        """Return True if the loop was seen to be unstable, of which other symptoms follow."""
+        """True if the loop was seen to be unstable, of which other symptoms follow."""
         return self.swing.frequency > 0.0 or self._swings >= _SWINGS_BEFORE_LOSS
 
     def _unstable(self) -> str:
