@@ -20,7 +20,7 @@ from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.runtime.component import Component
 
 MACHINES = (SimulatedMachine.NAME, LinuxcncBridge.NAME, OpcuaBridge.NAME, SimulatedBody.NAME)
-"""What stands for a machine, the last one beside a bridge; no recording can give it back."""
+"""Nodes in a machine's place, the last one beside a bridge; no recording gives them back."""
 
 COMPONENTS: dict[str, type[Component[Any]]] = {
     item.NAME: item

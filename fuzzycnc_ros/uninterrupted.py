@@ -12,7 +12,7 @@ class Interrupted(KeyboardInterrupt):
 
 
 class _Held:
-    """What the main thread, the only one that is interrupted, is at."""
+    """State of the main thread, the only one that is interrupted."""
 
     depth = 0
     wished = False

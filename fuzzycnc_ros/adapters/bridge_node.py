@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the nodes of all bridges do: read the controller in every cycle, also while not active.
+"""Node of every bridge: reads the controller in every cycle, also while not active.
 
 What is applied is known before anybody commands anything.  Offsets are written in the active state
 alone, and after it until they are at zero.  The controller may end and come back meanwhile: each

@@ -20,14 +20,14 @@ from fuzzycnc_ros.runtime.records import Floats
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Readout:
-    """What a controller tells; arrays are parallel to the axes of the bridge."""
+    """State read from a controller; arrays are parallel to the axes of the bridge."""
 
     mode: MachineMode
     homed: bool
     ready: bool
     """The machine is on and homed, and takes offsets."""
     writer: str = ''
-    """Who writes offsets now; empty if nobody does, or nobody knows."""
+    """Present writer of offsets; empty if there is none, or it is unknown."""
     position: Floats
     """Commanded, without offsets; NaN where the controller does not tell [m]."""
     applied: Floats
@@ -35,7 +35,7 @@ class Readout:
     spindle_speed: float = np.nan
     """Positive clockwise seen from the spindle [rad/s]."""
     coolant: bool | None = None
-    """Whether flood or mist is on; None where the controller does not tell."""
+    """True while flood or mist is on; None where the controller does not report it."""
     spindle_load: float = np.nan
     """Load of the spindle drive; 1 is its rated one [-]."""
     probe: tuple[float, float] | None = None

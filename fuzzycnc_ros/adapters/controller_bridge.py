@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What every bridge to a real controller has in common: the guard, the owner, the read-back.
+"""Base of the bridges to real controllers: the guard, the owner, the read-back.
 
 A bridge stands where `simulated_machine` does, but a real controller makes the time: the host
 reads it in every cycle, hands the readout over, and writes what comes back.  What is published is
@@ -90,9 +90,9 @@ NOTHING = 1e-12
 STEPS_MAX = 2.0
 """Cycles for whose time one cycle moves offsets at most, however late it comes."""
 COLUMNS = ('offset', 'slope', 'reference_position')
-"""What makes a line."""
+"""Coefficients of an axis' line."""
 SETTLING = 2.0
-"""How long a controller may take to go where it is told [s] before that is reported."""
+"""Time that a controller may take to reach a commanded offset [s] before the delay is reported."""
 
 ConfigT = TypeVar('ConfigT', bound=ControllerBridgeConfig)
 StatusT = TypeVar('StatusT', bound=Readout)
@@ -108,9 +108,9 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
     """
 
     CONTROLLER: ClassVar[str]
-    """What the controller is called in messages."""
+    """Name of the controller in messages."""
     PROBE_OFFSET: ClassVar[bool] = False
-    """Whether coordinates of a probing cycle contain the offset in force."""
+    """True if coordinates of a probing cycle contain the offset in force."""
     CONFIG = ControllerBridgeConfig
     INPUTS = (
         Input('compensation', Compensation, sole=True),
@@ -161,37 +161,37 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         self._probe_told: float | None = None
         self._touched_at = 0
         self.probe_due = False
-        """Whether the control shall be shown that a probing cycle is due."""
+        """True if the control shall be shown that a probing cycle is due."""
 
     @property
     def orders(self) -> OrdersT | None:
-        """What to write; None while this bridge does not hold the controller."""
+        """Command to write; None while this bridge does not hold the controller."""
         return self._orders
 
     @property
     def active(self) -> bool:
-        """Whether it may write, as soon as it holds the controller."""
+        """True if it may write, as soon as it holds the controller."""
         return self._active
 
     @property
     def holding(self) -> bool:
-        """Whether the controller takes offsets from this bridge."""
+        """True if the controller takes offsets from this bridge."""
         return self._holding
 
     @property
     @abstractmethod
     def moving(self) -> bool:
-        """Whether the controller is on its way to what was written last."""
+        """True while the controller moves towards the newest command."""
 
     @property
     @abstractmethod
     def at_rest(self) -> bool:
-        """Whether it is inactive and has nothing to take back: it may let the controller go."""
+        """True if it is inactive with nothing to take back: it may let the controller go."""
 
     @property
     @abstractmethod
     def wants_control(self) -> bool:
-        """Whether it is time to take hold: active without it, and nothing else moves."""
+        """True if it is time to take hold: active without it, and nothing else moves."""
 
     @abstractmethod
     def take_control(self) -> None:
@@ -281,7 +281,7 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
     @property
     @abstractmethod
     def _leads(self) -> bool:
-        """Whether the controller goes where this bridge says."""
+        """True if the controller follows this bridge."""
 
     @abstractmethod
     def _forbidden(self, status: StatusT) -> str:
@@ -293,7 +293,7 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
 
     @abstractmethod
     def _cut(self, status: StatusT) -> Bools:
-        """Whether a limit of the controller cuts the offset of each axis."""
+        """Return True for each axis whose offset a limit of the controller cuts."""
 
     def _left(self) -> Floats:
         """Return what a controller that is gone applies [m]: nothing, unless it goes on alone."""
@@ -324,7 +324,7 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
 
     @property
     def _places(self) -> Names:
-        """What the offset input guards an offset of: the lower ends of the travel, the upper."""
+        """Names of the guarded offsets: at the lower ends of the travel, then the upper."""
         axes = self._config.axes
         return (*(f'{axis} low' for axis in axes), *(f'{axis} high' for axis in axes))
 
@@ -450,7 +450,7 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         )
 
     def _due(self, what: str, news: tuple[Any, ...], spacing: float = 0.0) -> bool:
-        """Whether to tell something: news, not sooner than `spacing` [s], or nothing for long."""
+        """Return True if a text is due: news after `spacing` [s], or a repetition."""
         told_at, told = self._told.get(what, (None, ()))
         if told_at is not None:
             wait = spacing if news != told else self._config.report_period
@@ -522,7 +522,7 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
             yield Emission('probe_touch', touch)
 
     def _limited(self, status: StatusT) -> Bools:
-        """Whether any limit cuts the offset of each axis."""
+        """Return True for each axis whose offset any limit cuts."""
         return np.asarray(self._input.at_limit | self._cut(status), bool)
 
     def _state(

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What can go wrong with a connection."""
+"""Failures of a connection."""
 
 import asyncio
 

@@ -14,7 +14,7 @@ T = TypeVar('T')
 HELD_MAX = 2 << 20
 """Most of an unfinished message that a connection holds, in bytes: twice the largest of OPC UA."""
 _HELD = ('receive_buffer', 'recv_buffer')
-"""Where protocols of asyncua and pymodbus hold it."""
+"""Names of the receive buffer in protocols of asyncua and pymodbus."""
 
 
 class ConnectionLoop(asyncio.SelectorEventLoop):
@@ -125,7 +125,7 @@ class LoopThread:
 
     @property
     def alive(self) -> bool:
-        """Whether the thread has not ended."""
+        """True if the thread has not ended."""
         return self._thread.is_alive()
 
     def call(self, coroutine: Coroutine[Any, Any, T], timeout: float) -> T:

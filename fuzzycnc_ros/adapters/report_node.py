@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the nodes share that hand the report of a machine to systems without ROS."""
+"""Base of the nodes that hand the report of a machine to systems without ROS."""
 
 import time
 from abc import abstractmethod

@@ -38,7 +38,7 @@ except ImportError as error:
     ) from error
 
 ENTRIES = {'devices': 'device', 'sensors': 'sensor', 'axes': 'axis', 'positions': 'axis'}
-"""What an entry of a list or mapping is called in messages."""
+"""Name in messages of an entry of a list or mapping."""
 
 VARIABLES = ('hand_shake', 'state', 'axes')
 """Sections whose fields are variables of a control."""
@@ -93,7 +93,7 @@ def address_of(text: str, schemes: Sequence[str]) -> SplitResult | None:
 
 
 class _Scalar(ABC):
-    """How a field is read from its node."""
+    """Reader of a field from its node."""
 
     @abstractmethod
     def read(self, node: Any) -> Any:
@@ -108,7 +108,7 @@ class Text(_Scalar):
     """A text; what YAML would take for a number or a switch stays a text."""
 
     pattern: str = ''
-    """What editors hold against it."""
+    """Pattern that editors check it against."""
 
     def read(self, node: Any) -> str:
         """Return the text."""

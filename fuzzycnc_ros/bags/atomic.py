@@ -29,7 +29,7 @@ SECRET_FILE = 0o600
 _LINKS_MAX = 40
 """Links that Linux follows before it says ELOOP."""
 _DESCRIPTOR = re.compile(r'/proc/(\d+)(?:/task/\d+)?/fd/(\d+)')
-"""What looks like a symbolic link there is an open file, which may have no name or another one."""
+"""Descriptor of an open file, which looks like a symbolic link and may have no or another name."""
 
 
 def destination(path: Path) -> Path:

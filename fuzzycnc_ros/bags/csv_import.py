@@ -99,7 +99,7 @@ PLACES_MAX = 20
 
 @dataclass(frozen=True)
 class ImportReport:
-    """What was imported.
+    """Result of an import.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the columns of a CSV recording mean."""
+"""Meaning of the columns of a CSV recording."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -118,7 +118,7 @@ def parse_channel(text: str) -> Channel:
 
 @dataclass(frozen=True, kw_only=True)
 class CsvMapping:
-    """What the columns of a CSV recording mean.
+    """Meaning of the columns of a CSV recording.
 
     Parameters
     ----------

@@ -40,7 +40,7 @@ from fuzzycnc_ros.core.thermal.spacing import sample_interval
 from fuzzycnc_ros.core.units import TIMES
 
 _ENCODINGS = ('cp1252', 'latin-1', 'utf-16')
-"""What programs write that do not write UTF-8, Excel on Windows first."""
+"""Encodings tried where a file is not UTF-8, that of Excel on Windows first."""
 
 _WORKBOOKS = (b'PK\x03\x04', b'\xd0\xcf\x11\xe0')
 _UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)

@@ -43,7 +43,7 @@ _TEXT = re.compile(
 _ISO = re.compile(
     r'\d{4}-\d\d-\d\d(?:[T ]\d\d(?::\d\d(?::\d\d(?:[.,]\d+)?)?)?(?:Z|[+-]\d\d(?::?\d\d)?)?)?'
 )
-"""What of ISO 8601 is recognised; Python reads more, differently from version to version."""
+"""Recognised part of ISO 8601; Python reads more, differently from version to version."""
 
 _FRACTION = re.compile(
     r'(?<=\d)[.,](\d+)(?=\s*(?:[AP]\.?M\.?)?\s*(?:Z|UTC|GMT|[+-]\d\d:?\d\d)?$)'

@@ -63,7 +63,7 @@ ATTACHMENT_MAX = 128 * 1024 * 1024
 
 @dataclass
 class Tear:
-    """Where and why the records of a file end too early."""
+    """Place at which the records of a file end too early, and the reason."""
 
     offset: int
     reason: str

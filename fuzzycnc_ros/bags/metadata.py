@@ -28,7 +28,7 @@ PART = 'part'
 MESSAGE_SET_KEY = 'fuzzycnc_message_set'
 DELETED_PARTS_KEY, DELETED_MESSAGES_KEY = 'fuzzycnc_deleted_parts', 'fuzzycnc_deleted_messages'
 DELETED_UNTIL_KEY = 'fuzzycnc_deleted_until'
-"""What of the beginning was deleted to stay within a budget; the last in ns of log time."""
+"""Metadata key of the deleted beginning of a bag within a budget; its end in ns of log time."""
 STATE_KEY = 'fuzzycnc_state'
 STATE_RECORDING, STATE_CLOSED = 'recording', 'closed'
 
@@ -93,7 +93,7 @@ Profiles = list[dict[str, Any]]
 
 @dataclass
 class TopicInfo:
-    """What is known of one topic of a bag.
+    """Properties of one topic of a bag.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Who wrote the topics of a bag: what a replay has to give again, and what it takes as given.
+"""Writers of a bag's topics: which a replay has to recompute, and which it takes as given.
 
 A topic of a component's output is expected to be recomputed, even if nothing else in the bag tells
 of that component: a `node_configuration` that is lost must not take its outputs along unseen.
@@ -26,17 +26,17 @@ GIVEN_REMEDY = 'name it as given if another node wrote it'
 
 @dataclass(frozen=True)
 class Origin:
-    """Where the messages of a topic come from that were not recomputed."""
+    """Origin of the messages of a topic that were not recomputed."""
 
     given: bool
-    """Whether a replay takes them as they are; otherwise it should have recomputed them."""
+    """True if a replay takes them as they are; otherwise it should have recomputed them."""
     text: str
-    """Who wrote them, or why they were not recomputed."""
+    """Writer of the messages, or the reason why they were not recomputed."""
 
 
 @dataclass(frozen=True)
 class Origins:
-    """What is known of the writers of a bag's topics.
+    """Writers of a bag's topics.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class Origins:
         return None
 
     def _foreign(self, nodes: Iterable[str]) -> bool:
-        """Whether none of some nodes serves a component that a replay might set up."""
+        """Return True if none of some nodes serves a component that a replay might set up."""
         own = {
             node
             for topic, seen in self.publishers.items()
@@ -106,7 +106,7 @@ class Origins:
         return all(node not in own or node.rpartition('/')[2] in MACHINES for node in nodes)
 
     def _has_outputs(self, node: str) -> bool:
-        """Whether a topic is in the bag that no machine but this node writes."""
+        """Return True if a topic is in the bag that no machine but this node writes."""
         space, _, name = node.rpartition('/')
         return any(
             self.topics.get(f'{space}/{item.name}') == item.record.TYPE

@@ -36,7 +36,7 @@ SENTENCES: Mapping[int, str] = MappingProxyType(
         errno.EPIPE: 'its reader has gone, so the rest of the output is lost',
     }
 )
-"""What happened and what to do about it, by the number of the error."""
+"""Cause and remedy, by the number of the error."""
 
 STANDARD_OUTPUT = 'standard output'
 

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a player sends, and in which order: messages undecoded, in log order or by stamp.
+"""Messages that a player sends, undecoded, in log order or by stamp.
 
 Arrival order at a recorder carries no meaning, so that a lock-step run is played in the order of
 the stamps.  A message without a header belongs to the newest stamp before it.
@@ -62,7 +62,7 @@ class PlayedMessage(NamedTuple):
 
     topic: str
     log_time: int
-    """When it was recorded [ns]."""
+    """Log time [ns]."""
     stamp: int
     """Machine time to which it belongs [ns]."""
     payload: bytes

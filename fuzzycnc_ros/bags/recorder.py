@@ -32,7 +32,7 @@ MODULUS = 2**64
 """The numbers of rmw are 64 bits wide and then start anew."""
 
 UNSUPPORTED = 2**64 - 1
-"""What rmw states where a middleware has no sequence numbers."""
+"""Sequence number that rmw gives where a middleware has none."""
 
 SILENT = 3
 """Publishers that are gone are those that were silent while each other spoke so often."""
@@ -73,7 +73,7 @@ class TopicProgress:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a recording has come.
+    """Progress of a recording.
 
     Parameters
     ----------
@@ -532,7 +532,7 @@ class RecordingThread:
 
     @property
     def failed(self) -> bool:
-        """Whether the bag could not be written any further; costs less than `progress`."""
+        """True if the bag could not be written any further; costs less than `progress`."""
         return self._error is not None
 
     def check(self) -> None:

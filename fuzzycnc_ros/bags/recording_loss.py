@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a recorder says of its own bag: messages that are lost, holes in what was sampled."""
+"""Losses of a recorder's bag: missing messages, holes in what was sampled."""
 
 import json
 from collections.abc import Iterator, Mapping

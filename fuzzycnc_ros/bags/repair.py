@@ -28,7 +28,7 @@ from fuzzycnc_ros.runtime.provenance import MESSAGE_SET
 
 @dataclass(frozen=True)
 class RepairedTopic:
-    """What was kept of one topic.
+    """Messages of one topic that were kept.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class RepairedTopic:
 
 @dataclass(frozen=True)
 class RepairReport:
-    """What a repair kept and what it could not.
+    """Result of a repair: what was kept, and what was lost.
 
     Parameters
     ----------

@@ -57,7 +57,7 @@ _TOLD_OF: Mapping[str, type[Any]] = {
 """Topics that all nodes share."""
 
 _PLUMBING = (*_TOLD_OF, 'machine_tick')
-"""What a replay reads beside the topics of components; pictures of a camera fill no memory."""
+"""Topics that a replay reads beside those of components; pictures of a camera fill no memory."""
 
 LATE = 5 * SECOND
 """Log time [ns] within which the last messages before a step of the clock arrive."""
@@ -95,16 +95,16 @@ class TopicComparison:
     not_recomputed: str = ''
     """Why messages of it were not recomputed; empty if all were."""
     left_out: bool = False
-    """Whether the recorder was told not to record it, so that nothing can be compared."""
+    """True if the recorder was told not to record it, so that nothing can be compared."""
 
     @property
     def equal(self) -> bool:
-        """Whether nothing differs."""
+        """True if nothing differs."""
         return self.left_out or self.recorded == self.recomputed == self.identical
 
     @property
     def equivalent(self) -> bool:
-        """Whether nothing differs but the rounding of another processor's arithmetic."""
+        """True if nothing differs but the rounding of another processor's arithmetic."""
         return self.equal or self.largest_difference <= ROUNDING
 
 
@@ -139,16 +139,16 @@ class ReplayReport:
     given: list[GivenTopic] = field(default_factory=list)
 
     arithmetic: str | None = None
-    """How what the bag was recorded with computes otherwise; empty if not, None if unknown."""
+    """Differences of the recording's arithmetic; empty if there are none, None if unknown."""
 
     @property
     def identical(self) -> bool:
-        """Whether every recorded output was recomputed and came out as it was, byte for byte."""
+        """True if every recorded output was recomputed and came out as it was, byte for byte."""
         return self.compared and all(item.equal for item in self.topics)
 
     @property
     def equivalent(self) -> bool:
-        """Whether every recorded output was recomputed and came out as it was, up to rounding.
+        """True if every recorded output was recomputed and came out as it was, up to rounding.
 
         Where the same arithmetic gives other digits there is no excuse for them.
         """
@@ -158,12 +158,12 @@ class ReplayReport:
 
     @property
     def compared(self) -> bool:
-        """Whether there was anything to compare."""
+        """True if there was anything to compare."""
         return any(item.recorded and item.recomputed for item in self.topics)
 
     @property
     def differing(self) -> bool:
-        """Whether anything that was recomputed came out otherwise."""
+        """True if any recomputed output came out otherwise."""
         alike = attrgetter('equal' if self.arithmetic == '' else 'equivalent')
         return any(not (alike(item) or item.not_recomputed) for item in self.topics)
 
@@ -281,7 +281,7 @@ def _step_of(event: NodeEvent) -> int:
 
 @dataclass(frozen=True)
 class _SeriesEnd:
-    """Where a clock was set: a new series of stamps begins.
+    """Change of a clock: a new series of stamps begins.
 
     Topics reach a recorder each in its own order alone.  So some of the old series is logged after
     the event that tells of the step, and some of the new one before it.
@@ -341,7 +341,7 @@ class _Recording:
         self._after_step = ''
         self._counts: Counter[str] = Counter()
         self.begins_late = reader.missing_parts > 0
-        """Whether the bag begins in the middle of a recording."""
+        """True if the bag begins in the middle of a recording."""
         if self.begins_late:
             self.notes.append(
                 f'the bag begins in the middle of a recording, of which {reader.missing_parts} '
@@ -543,7 +543,7 @@ class _BoundedMerger(Merger):
     """A merge that a bag whose stamps are wrong cannot keep busy for ever."""
 
     deadlines_left = 0
-    """How many deadlines may still fire."""
+    """Number of deadlines that may still fire."""
 
     def fire(self, deadline: int) -> list[Emission]:
         """Fire one deadline of the component."""

@@ -396,7 +396,7 @@ class Displacements(Samples):
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """Where each column was measured [m]; NaN where that is not told."""
+        """Place of measurement of each column [m]; NaN where it is unknown."""
         if not self._told:
             return np.full(len(self._names[0]), np.nan)
         found = np.array([place for _, place in self._order])

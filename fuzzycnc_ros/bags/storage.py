@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the storage formats have in common: channels, and blocks of messages."""
+"""Common part of the storage formats: channels, and blocks of messages."""
 
 import stat
 from collections.abc import Callable
@@ -93,7 +93,7 @@ class Attachment:
 
 @dataclass
 class Contents:
-    """What a storage file holds.
+    """Contents of a storage file.
 
     Parameters
     ----------

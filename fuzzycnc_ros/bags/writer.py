@@ -59,7 +59,7 @@ _INDEX = '_Writer__chunk_indices'  # the mcap library's own name of its index
 
 @dataclass(frozen=True)
 class _Announced:
-    """What it takes to announce a topic in another part."""
+    """Announcement of a topic, as another part of the bag repeats it."""
 
     info: TopicInfo
     definition: str
@@ -675,7 +675,7 @@ class Sink:
 
     @property
     def closed(self) -> bool:
-        """Whether the file was closed."""
+        """True if the file was closed."""
         return self._file.closed
 
     def tell(self) -> int:

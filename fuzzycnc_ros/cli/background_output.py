@@ -69,7 +69,7 @@ class BackgroundOutput(io.TextIOBase):
         return self._descriptor
 
     def isatty(self) -> bool:
-        """Whether the stream is a terminal."""
+        """Return True if the stream is a terminal."""
         return os.isatty(self._descriptor)
 
     def writable(self) -> bool:
@@ -78,7 +78,7 @@ class BackgroundOutput(io.TextIOBase):
 
     @property
     def behind(self) -> bool:
-        """Whether something waits for the reader."""
+        """True if output waits for the reader."""
         return self._pending > 0 or self._dropped > 0
 
     def write(self, text: str) -> int:

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a shell proposes for the value of an option; nothing is imported until it asks."""
+"""Proposals of a shell for the value of an option; nothing is imported until it asks."""
 
 from collections.abc import Callable, Iterable, MutableMapping, Sequence
 from glob import escape, glob

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What all subcommands share: tables, progress, files of figures."""
+"""Common part of all subcommands: tables, progress, files of figures."""
 
 import json
 import os

@@ -21,12 +21,12 @@ from fuzzycnc_ros.core.units import (
 )
 
 DURATIONS: Mapping[str, float] = MappingProxyType({'s': 1.0, 'min': MINUTE, 'h': 60.0 * MINUTE})
-"""What a duration of 1 is, by unit [s]."""
+"""Units of duration [s]."""
 
 SIZES: Mapping[str, float] = MappingProxyType(
     {'B': 1.0, 'kB': 1e3, 'MB': 1e6, 'GB': 1e9, 'TB': 1e12}
 )
-"""What a size of 1 is, by unit [bytes]."""
+"""Units of size [bytes]."""
 
 
 def quantity(

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What helps against a refusal, as options of the command that prints it."""
+"""Remedies against a refusal, as options of the command that prints it."""
 
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager

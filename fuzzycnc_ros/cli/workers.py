@@ -48,7 +48,7 @@ _works = False  # whether this process is a worker with a piece in hand
 
 @dataclass(frozen=True)
 class News:
-    """What a worker is doing: the number of its piece, words, and the share that is done [-]."""
+    """Present task of a worker: the number of its piece, words, and the share that is done [-]."""
 
     piece: int
     text: str

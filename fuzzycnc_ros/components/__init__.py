@@ -1,3 +1,3 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What nodes do, by capability, as objects with typed inputs and outputs; no ROS."""
+"""Behaviour of nodes, by capability, as objects with typed inputs and outputs; no ROS."""

@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 """Array of doubles."""
 
 Seed = int | np.random.Generator | None
-"""What seeds an estimator; None draws fresh entropy, and no global state is ever touched."""
+"""Seed of an estimator; None draws fresh entropy, and no global state is ever touched."""
 
 
 def mean_of_measured(values: Array, axis: int) -> Array:

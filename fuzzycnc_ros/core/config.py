@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 Value = bool | int | float | str | tuple[str, ...] | tuple[float, ...]
-"""What a parameter can hold; tuples become ROS arrays."""
+"""Value of a parameter; tuples become ROS arrays."""
 
 
 def param(

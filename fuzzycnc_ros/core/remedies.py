@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 
 class Remedy(NamedTuple):
-    """What helps, in words, and the arguments that do it where the reader has them.
+    """Remedy in words, and the arguments that apply it where the reader has them.
 
     Parameters
     ----------

@@ -12,7 +12,7 @@ MILLIMETRE, INCH, MINUTE = 1e-3, 25.4e-3, 60.0  # those of programs would load n
 LENGTHS: Mapping[str, float] = MappingProxyType(
     {'mm': MILLIMETRE, 'um': 1e-6, 'm': 1.0, 'inch': INCH}
 )
-"""What a length of 1 is, by unit [m]."""
+"""Units of length [m]."""
 
 FEEDS: Mapping[str, float] = MappingProxyType(
     {
@@ -23,21 +23,21 @@ FEEDS: Mapping[str, float] = MappingProxyType(
         'inch/min': INCH / MINUTE,
     }
 )
-"""What a feed of 1 is, by unit [m/s]."""
+"""Units of feed [m/s]."""
 
 TIMES: Mapping[str, float] = MappingProxyType(
     {'s': 1.0, 'ms': 1e-3, 'min': MINUTE, 'h': 60.0 * MINUTE, 'd': 1440.0 * MINUTE}
 )
-"""What a time of 1 is, by unit [s]."""
+"""Units of time [s]."""
 
 SPEEDS: Mapping[str, float] = MappingProxyType({'rpm': 2.0 * pi / MINUTE, 'rad/s': 1.0})
-"""What a speed of a spindle of 1 is, by unit [rad/s]."""
+"""Units of spindle speed [rad/s]."""
 
 FORCES: Mapping[str, float] = MappingProxyType({'N': 1.0, 'kN': 1e3})
-"""What a force of 1 is, by unit [N]."""
+"""Units of force [N]."""
 
 SHARES: Mapping[str, float] = MappingProxyType({'%': 0.01})
-"""What a share of 1 is, by unit [-]."""
+"""Units of shares [-]."""
 
 DECLARED: Mapping[str, tuple[str, Mapping[str, float]]] = MappingProxyType(
     {
@@ -65,7 +65,7 @@ DECLARED: Mapping[str, tuple[str, Mapping[str, float]]] = MappingProxyType(
         '-': ('a pure number', SHARES),
     }
 )  # fmt: skip
-"""What is said of a quantity and what 1 of each of its units is, by its SI unit."""
+"""Name and units of a quantity, by its SI unit."""
 
 NUMBER = r'[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?'
 """Pattern of a number before its unit."""

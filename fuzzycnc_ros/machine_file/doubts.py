@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What in machine data cannot be, or is not likely, although each value is within its bounds."""
+"""Impossible or unlikely combinations in machine data whose values are each within bounds."""
 
 from __future__ import annotations
 

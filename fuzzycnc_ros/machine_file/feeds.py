@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What machine data mean to the scheduling of feeds."""
+"""Scheduling limits from machine data."""
 
 from __future__ import annotations
 

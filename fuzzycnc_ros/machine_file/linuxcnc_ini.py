@@ -30,7 +30,7 @@ _FAR = 100.0
 
 @dataclass(frozen=True)
 class LinuxcncLimits:
-    """What a LinuxCNC configuration allows; None where it says nothing.
+    """Limits in a LinuxCNC configuration; None where it has none.
 
     Attributes
     ----------

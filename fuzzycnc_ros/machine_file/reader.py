@@ -45,7 +45,7 @@ def built_in_path(name: str) -> Path:
 
 
 def is_machine_file(path: Path | str) -> bool:
-    """Whether a file says at its top what machine files do, or is a built-in machine's name."""
+    """Return True for a machine file, by its first key, and for a built-in machine's name."""
     import yaml
 
     if str(path) in BUILT_IN:
@@ -138,7 +138,7 @@ def _ini(reading: YamlReading, found: Mapping[str, Entry]) -> LinuxcncLimits:
 
 
 def is_axis_name(name: str) -> bool:
-    """Whether a name is one of an axis: a letter, and up to seven letters and digits."""
+    """Return True if a name is one of an axis: a letter, and up to seven letters and digits."""
     return 0 < len(name) <= 8 and name.isalnum() and name[0].isalpha()
 
 

@@ -49,7 +49,7 @@ ANSWERED = 10.0
 
 @dataclass(frozen=True)
 class _Shown:
-    """What of a machine was shown last.
+    """State of a machine as last shown.
 
     Attributes
     ----------

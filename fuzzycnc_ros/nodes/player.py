@@ -109,7 +109,7 @@ class PlayerNode(PlainNode[PlayerConfig]):
 
     @property
     def done(self) -> bool:
-        """Whether everything has been played."""
+        """True if everything has been played."""
         return self._done
 
     def start(self) -> None:
@@ -266,7 +266,7 @@ class PlayerNode(PlainNode[PlayerConfig]):
         self._keep_time(now, due)
 
     def _ready(self, now: float) -> bool:
-        """Whether the readers have found the topics; one that cannot match is not waited for."""
+        """Return True if the readers have found the topics, those aside that cannot match."""
         waited = now - self._created - self._config.start_delay
         if waited < 0.0:
             return False

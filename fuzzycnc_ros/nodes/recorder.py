@@ -53,7 +53,7 @@ from fuzzycnc_ros.runtime.records import (
 from fuzzycnc_ros.uninterrupted import Interrupted, uninterrupted
 
 DEPTH = 5000
-"""What the subscription may hold while the process is stopped."""
+"""Depth of the subscription: messages held while the process is stopped."""
 DISCOVERY_PERIOD = 0.2
 """Wall time [s] between two looks for new topics."""
 _NAMED = 3
@@ -131,7 +131,7 @@ class RecorderNode(PlainNode[RecorderConfig]):
 
     @property
     def done(self) -> bool:
-        """Whether the disk refuses to take any more."""
+        """True if the disk refuses to take any more."""
         if self._thread.failed:
             self.exit_code = 1
             return True

@@ -23,7 +23,7 @@ from fuzzycnc_ros.runtime.records import nanoseconds
 POLL = 0.01
 """Wall time [s] between two looks at the deadline in real time."""
 LAG = 0.05
-"""How long an axis state may be on its way [s]."""
+"""Longest delay of an axis state on its way [s]."""
 
 
 class ServoControllerNode(ManagedComponentNode):

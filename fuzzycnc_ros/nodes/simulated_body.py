@@ -44,7 +44,7 @@ class SimulatedBodyNode(ComponentNode):
 
     @property
     def done(self) -> bool:
-        """Whether the time is over."""
+        """True if the time is over."""
         return self._done
 
     def now(self) -> int:

@@ -68,7 +68,7 @@ class SimulatedMachineNode(ComponentNode):
 
     @property
     def done(self) -> bool:
-        """Whether the programme is over."""
+        """True if the programme is over."""
         return self._done
 
     def now(self) -> int:
@@ -164,7 +164,7 @@ class SimulatedMachineNode(ComponentNode):
         )
 
     def _lets_commands_in(self, pace: Pace, now: float) -> bool:
-        """Whether a late tick waits once for the commands that have come in meanwhile.
+        """Return True if a late tick waits once for the commands that have come in meanwhile.
 
         The executor calls timers before it takes messages.
         """

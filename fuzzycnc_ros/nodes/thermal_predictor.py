@@ -262,7 +262,7 @@ def use_files(component: ThermalPredictor) -> None:
 
 
 def _same_work(one: tuple[str, str, int, int], other: tuple[str, str, int, int]) -> bool:
-    """Whether two steps belong to one candidate, or to the one search for sensors."""
+    """Return True if two steps belong to one candidate, or to the one search for sensors."""
     return one[0] == other[0] and (one[1] == other[1] or one[0] == 'select_sensors')
 
 

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the hybrid filter network is compared with: ARMA, plain networks, and LR with a network."""
+"""Rivals of the hybrid filter network: ARMA, plain networks, and LR with a network."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

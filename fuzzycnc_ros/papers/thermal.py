@@ -30,4 +30,4 @@ _RIVALS = {
 ALL_CONTENDERS: Mapping[str, Contender] = MappingProxyType(
     {name: {**CONTENDERS, **_RIVALS}[name] for name in (*COMPARED, DRIVEN)}
 )
-"""How each model that is compared is fitted, in the order of tables."""
+"""Estimator of each compared model, in the order of tables."""

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What each node may do in a graph that lets nobody do anything else (docs/how-to/security.md).
+"""Permissions of each node in a graph that denies everything else (docs/how-to/security.md).
 
 Topics come from the declarations of the components; what nodes have beside them stands here.
 Names are relative to the machine, `~/` to the node, or absolute.
@@ -19,7 +19,7 @@ MQTT, MTCONNECT, OPCUA = 'mqtt_publisher', 'mtconnect_adapter', 'opcua_server'
 TOOLS = (RECORDER, PLAYER, OPERATOR, DASHBOARD, MQTT, MTCONNECT, OPCUA)
 """Nodes without a component; `operator` is that of `fuzzycnc operate`."""
 PRETENDERS = ('simulated_machine', 'simulated_body', PLAYER)
-"""What plays a machine: of no use beside a real one, and trusted with its topics."""
+"""Nodes that play a machine: of no use beside a real one, and trusted with its topics."""
 
 PARAMETERS = tuple(
     f'~/{name}'
@@ -57,14 +57,14 @@ DRIVERS = {
     'temperature_acquisition': ('sensor_readings', 'spindle_speed'),
     'probe_cycle': ('probe_touch',),
 }
-"""What drivers publish on behalf of a machine."""
+"""Topics that drivers publish on behalf of a machine."""
 VIEWED = {
     'temperature_acquisition': ('temperature/*',),
     'joint_trajectory_bridge': ('/tf', '/tf_static'),
 }
-"""What viewers of ROS read, beside the topics of the components."""
+"""Topics that viewers of ROS read, beside those of the components."""
 ASKED = {'joint_trajectory_bridge': ('joint_trajectory',)}
-"""What tools of ROS publish for a node, beside the topics of the components."""
+"""Topics that tools of ROS publish for a node, beside those of the components."""
 PROVENANCE = ('node_configuration', 'node_event', 'deadline_fired')
 EVERYTHING = '*'
 """All topics of the machine: a pattern as of file names, in which `*` stands for slashes too."""
@@ -72,7 +72,7 @@ EVERYTHING = '*'
 
 @dataclass(frozen=True, kw_only=True)
 class Access:
-    """What a node may do; everything else is forbidden."""
+    """Permissions of a node; everything else is forbidden."""
 
     publish: tuple[str, ...]
     subscribe: tuple[str, ...] = ()
@@ -171,7 +171,7 @@ def _component(component: type[Component]) -> Access:
 
 
 def _turns(node: str) -> bool:
-    """Whether a node takes turns in a lock-step run; what plays a machine makes its time."""
+    """Return True if a node takes turns in a lock-step run; machines make its time."""
     return node not in PRETENDERS
 
 

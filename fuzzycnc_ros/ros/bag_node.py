@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the nodes that play and record bags share: patterns and the bag."""
+"""Common part of the nodes that play and record bags: patterns and the bag."""
 
 import re
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ from fuzzycnc_ros.runtime.host import RecorderConfig
 
 
 class Closing(Protocol):
-    """What can be closed."""
+    """Object that can be closed."""
 
     def close(self) -> object:
         """Close it."""

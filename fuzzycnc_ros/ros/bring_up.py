@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a machine's graph consists of: its nodes, their parameters, what becomes of those that end.
+"""Nodes of a machine's graph, their parameters, and the treatment of those that end.
 
 `fuzzycnc up` and the launch file both follow it, so that they start the same.
 """
@@ -39,7 +39,7 @@ ACTIVE_TIMEOUT = 20.0
 PROBING = 'probe_cycle'
 """Takes what the program of a control tells."""
 AGAIN = '_again'
-"""What the bag of a recorder that was started again has behind its name, with a number."""
+"""Suffix of the bag of a recorder that was started again; a number follows."""
 NODE_STOP = 10.0
 """Wall time [s] that a node gets to end by itself before it is killed."""
 RECORDER_STOP = 30.0
@@ -203,7 +203,7 @@ def page_spec(
 
 @dataclass(frozen=True)
 class RestartPolicy:
-    """When a node that died or hangs is started again.
+    """Policy for the restart of nodes that died or hang.
 
     Attributes
     ----------

@@ -19,7 +19,7 @@ from fuzzycnc_ros.runtime.records import nanoseconds
 STEP = 1_000_000_000
 """Difference to the monotonic clock that is a step [ns]; less is followed slowly."""
 FOLLOWING = 0.1
-"""How much faster or slower than the monotonic clock this one goes to follow the wall clock."""
+"""Largest rate difference from the monotonic clock while this one follows the wall clock [-]."""
 TOGETHER = 5_000_000
 """Time within which two clocks are read [ns] so that their difference means something."""
 
@@ -125,7 +125,7 @@ class LogClock:
 
 
 SIMULATED_FASTER = 60
-"""How many times as far ahead a stamp may be where time is simulated: that goes hundreds of times
+"""Factor on how far a stamp may be ahead where time is simulated: that goes hundreds of times
 as fast as the wall clock, and a node's clock is behind by what its messages take on the wall."""
 
 
@@ -155,7 +155,7 @@ LATE = 0.01
 
 
 class Pace:
-    """When ticks of machine time are due on the wall.
+    """Wall times at which ticks of machine time are due.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ class StartGate:
         self._complete_since: float | None = None
 
     def open(self) -> bool:
-        """Whether the run may start now."""
+        """Return True if the run may start now."""
         missing = self._wanted - set(self._node.get_node_names())
         if missing or not self._matched({}):
             self._complete_since = None

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Who publishes a topic that a machine depends on, as the graph and its messages show.
+"""Publishers of a topic that a machine depends on, as the graph and its messages show.
 
 A node that was killed stays in the graph until its lease runs out, so that after a restart two
 publishers of one name are seen of which one is dead; and for seconds the name of the new one is
@@ -40,7 +40,7 @@ class Publisher:
 
     @property
     def known(self) -> bool:
-        """Whether the name of its node has arrived yet."""
+        """True if the name of its node has arrived."""
         return _UNKNOWN not in self.node
 
 

@@ -30,7 +30,7 @@ _KINDS = {
     'clients': 'client',
     'services': 'service',
 }
-"""What a node has, in the order in which it is served, and its name in a wait set."""
+"""Entities of a node, in the order in which they are served, with their names in a wait set."""
 
 
 PATROL = 0.02
@@ -115,9 +115,9 @@ class LeanExecutor(SingleThreadedExecutor):
         self._ready: deque[Callable[[], object]] = deque()
         self._waiting = False
         self._busy = False
-        """Whether a message came in the last wait: others are likely to follow soon."""
+        """True if a message came in the last wait: others are likely to follow soon."""
         self._round_at = 0.0
-        """When everything is looked at next, while messages follow one another [s]."""
+        """Time of the next look at everything, while messages follow one another [s]."""
 
     def add_node(self, node: Node) -> bool:
         """Add a node whose callbacks are executed here; False if it was there already."""

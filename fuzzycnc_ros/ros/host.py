@@ -146,20 +146,20 @@ class ComponentNode:
         self._restore()
 
     makes_time = False
-    """Whether machine time is made here, so that the clock of the node does not matter."""
+    """True if machine time is made here, so that the clock of the node does not matter."""
 
     takes_turns = True
-    """Whether the node works in turns in lock-step; the machine itself gives them."""
+    """True if the node works in turns in lock-step; the machine itself gives them."""
 
     keeps_newest = False
-    """Whether in real time only the newest driving message counts: an older one is of no use."""
+    """True if in real time only the newest driving message counts: an older one is of no use."""
 
     exit_code = 0
-    """What the process ends with."""
+    """Exit code of the process."""
 
     @property
     def done(self) -> bool:
-        """Whether the node has nothing left to do and its process may end."""
+        """True if the node has nothing left to do and its process may end."""
         return False
 
     def start(self) -> None:
@@ -257,7 +257,7 @@ class ComponentNode:
         ]
 
     def matched(self, readers: Mapping[str, int]) -> bool:
-        """Whether both ends of all routes of this node are matched.
+        """Return True if both ends of all routes of this node are matched.
 
         Parameters
         ----------

@@ -17,7 +17,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 PREFIX = 'fuzzycnc-run-'
-"""How temporary folders begin that are locked as long as anybody needs them."""
+"""Prefix of temporary folders that are locked as long as anybody needs them."""
 SHARED_MEMORY = Path('/dev/shm')
 LOCKED_WITHIN = 5.0
 """Age [s] up to which a segment may not have got its lock yet."""

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a person can do at a machine from the live page, by the services that nodes offer anyway.
+"""Actions of the live page at a machine, by the services that nodes offer anyway.
 
 None of it moves an axis or raises a limit.  Callers are coroutines of another thread: what touches
 ROS is done in the thread of the node, and nobody waits for it there.
@@ -56,7 +56,7 @@ TAKEN_UP = 10.0
 CARRIED_OUT = 90.0
 """The same for an action as a whole: longer than all of its waits together."""
 ASKED = 3
-"""How often in that time it is asked what may be asked twice: a busy node drops the answer to a
+"""Attempts in that time of a question that may be asked twice: a busy node drops the answer to a
 caller that it has not found yet."""
 BEGUN = 30.0
 """Wall time [s] until a recorder must listen, also on a busy computer."""

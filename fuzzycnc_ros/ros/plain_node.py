@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the nodes without a component share: parameters and health."""
+"""Common part of the nodes without a component: parameters and health."""
 
 from collections.abc import Sequence
 from typing import Generic, TypeVar

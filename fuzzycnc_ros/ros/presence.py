@@ -155,7 +155,7 @@ def at_work(found: Iterable[Key]) -> str:
 
 
 def lives(machine: str, node: str) -> bool:
-    """Whether a process of this computer, of whatever user, says that a node lives."""
+    """Return True if a process of this computer, of whatever user, says that a node lives."""
     with closing(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)) as caller:
         for number in range(HOLDERS):
             try:

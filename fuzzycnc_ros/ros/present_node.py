@@ -20,7 +20,7 @@ from fuzzycnc_ros.runtime.component import Answer, Component
 from fuzzycnc_ros.runtime.records import nanoseconds
 
 LAG = 0.02
-"""How far behind the present the node works [s]: messages take their time to arrive."""
+"""Delay of the node behind the present [s]: messages take their time to arrive."""
 
 
 class PresentNode(ManagedComponentNode):

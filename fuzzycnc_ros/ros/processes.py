@@ -97,7 +97,7 @@ def open_to_network() -> None:
 WISHES = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that ask a process to end; the last one says that its terminal is gone."""
 REFUSED = 2
-"""What a node ends with that does not take its parameters: to start it again would be in vain."""
+"""Exit code of a node that refuses its parameters: to start it again would be in vain."""
 ONE_WISH = 1.0
 """Wall time [s] within which signals are one wish: some senders signal a process and its group."""
 HANGS = 3.0
@@ -111,13 +111,13 @@ _SIGEV_THREAD = 2
 
 
 class _Value(ctypes.Union):
-    """What a timer hands to its function, `union sigval` of POSIX."""
+    """Argument of a timer's function, `union sigval` of POSIX."""
 
     _fields_ = (('number', ctypes.c_int), ('pointer', ctypes.c_void_p))
 
 
 class _Event(ctypes.Structure):
-    """How a timer tells that it has run out, `struct sigevent` of Linux."""
+    """Notification of a timer that has run out, `struct sigevent` of Linux."""
 
     _fields_ = (
         ('value', _Value),
@@ -130,7 +130,7 @@ class _Event(ctypes.Structure):
 
 
 class _Times(ctypes.Structure):
-    """When a timer runs out, `struct itimerspec` with its two times in seconds and nanoseconds."""
+    """Times of a timer, `struct itimerspec`: two times in seconds and nanoseconds."""
 
     _fields_ = (('interval', ctypes.c_long * 2), ('value', ctypes.c_long * 2))
 
@@ -175,7 +175,7 @@ def _end_after(seconds: int, code: int) -> Callable[[], object]:
 
 
 class Wish:
-    """What this process was asked to do.
+    """Request to end, as this process has received it.
 
     Attributes
     ----------

@@ -45,7 +45,7 @@ LETTING_GO = 6
 
 Less than `NODE_STOP`: who is killed by then has not told how it ended."""
 NO_MEMORY = 1
-"""What a node ends with that gets no more memory: started again it begins with little."""
+"""Exit code of a node that gets no more memory: started again it begins with little."""
 
 
 def tell_error(error: object) -> None:
@@ -72,7 +72,7 @@ def _log(self: Any, message: Any, severity: Any, **settings: Any) -> Any:
 
 
 class Served(Protocol):
-    """What `run` needs of the object that serves a node."""
+    """Object that serves a node, as `run` needs it."""
 
     node: Node
     exit_code: int
@@ -81,7 +81,7 @@ class Served(Protocol):
 
     @property
     def done(self) -> bool:
-        """Whether the node has nothing left to do and its process may end."""
+        """True if the node has nothing left to do and its process may end."""
 
     def start(self) -> None:
         """Begin; all nodes of the process exist by now."""

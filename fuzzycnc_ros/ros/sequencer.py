@@ -36,7 +36,7 @@ RECORDER_TIMEOUT = 30.0
 
 @dataclass
 class Participant:
-    """What the sequencer knows of one node."""
+    """State of one node in the sequencer."""
 
     name: str
     publisher: Any
@@ -122,7 +122,7 @@ class Sequencer:
         self.tick = 0
         """Number of the present tick."""
         self.over = False
-        """Whether the programme is over and all turns are taken."""
+        """True if the programme is over and all turns are taken."""
         self.lost: list[str] = []
         """Nodes that fell silent, in order of the event."""
         self.missed = 0
@@ -140,12 +140,12 @@ class Sequencer:
 
     @property
     def degraded(self) -> bool:
-        """Whether the run proves nothing: a node was lost or worked without its inputs."""
+        """True if the run proves nothing: a node was lost or worked without its inputs."""
         return bool(self.lost) or self.missed > 0
 
     @property
     def running(self) -> bool:
-        """Whether the first tick has been given."""
+        """True if the first tick has been given."""
         return self._running
 
     @property
@@ -242,7 +242,7 @@ class Sequencer:
             self._node.get_logger().info(f'{item.name} is back at tick {self.tick}')
 
     def _inputs_are_here(self) -> bool:
-        """Whether the machine has received everything that was announced to it.
+        """Return True if the machine has received everything that was announced to it.
 
         An answer may overtake the message that it announces.
         """
@@ -284,7 +284,7 @@ class Sequencer:
         self._next()
 
     def _due(self, item: Participant, counts: Mapping[str, int]) -> bool:
-        """Whether a turn would change anything: new inputs that matter, or a deadline reached.
+        """Return True if a turn would change anything: by new inputs that matter, or a deadline.
 
         Nor may too many messages wait for a node.
         """
@@ -324,7 +324,7 @@ class Sequencer:
         return readers
 
     def _routes_stand(self) -> bool:
-        """Whether the machine's own writers have met all readers of the run."""
+        """Return True if the machine's own writers have met all readers of the run."""
         readers = self._readers()
         turns = (item.publisher for item in self._participants)
         return self._matched(readers) and all(

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a process tells systemd, or whatever else has started it and asks: sd_notify(3).
+"""Service notifications to systemd, or to another parent that asks for them: sd_notify(3).
 
 Nothing is told where nobody asked by `NOTIFY_SOCKET`.  No ROS is imported.
 """
@@ -18,7 +18,7 @@ _PULSES = 3.0
 
 
 class ServiceManager:
-    """Who has started this process as a service.
+    """Service manager that has started this process.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class ServiceManager:
         environment.pop('WATCHDOG_PID', None)
         self._place = f'\0{place[1:]}' if place.startswith('@') else place
         self.present = place.startswith(('/', '@'))
-        """Whether there is one."""
+        """True if there is one."""
         waited_for = period.isdecimal()
         self._period = 1e-6 * int(period) / _PULSES if waited_for else math.inf
         self._due_at = 0.0 if waited_for else math.inf

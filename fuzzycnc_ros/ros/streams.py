@@ -12,7 +12,7 @@ from contextlib import suppress
 from typing import Any, TextIO
 
 _SPELT_OUT = 'backslashreplace'
-"""What becomes of characters that the encoding of a stream does not have."""
+"""Treatment of characters that the encoding of a stream does not have."""
 
 
 class _Dropping(io.FileIO):

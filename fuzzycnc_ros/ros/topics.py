@@ -103,7 +103,7 @@ def routes_matched(
     publishers: Collection[Any],
     readers: Mapping[str, int] = EMPTY,
 ) -> bool:
-    """Whether both ends of all routes of a node are matched, as far as the graph is known.
+    """Return True if both ends of all routes of a node are matched, as far as the graph is known.
 
     Parameters
     ----------

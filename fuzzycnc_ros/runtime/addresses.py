@@ -1,12 +1,12 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Who reaches what listens at an address."""
+"""Reach of an address: who can connect to it."""
 
 import ipaddress
 
 
 def is_loopback(address: str) -> bool:
-    """Whether only this computer reaches what listens at an address."""
+    """Return True if only this computer reaches what listens at an address."""
     if address == 'localhost':
         return True
     try:

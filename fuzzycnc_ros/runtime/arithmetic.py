@@ -88,7 +88,7 @@ def apart(recorded: Collection[str], here: str) -> str:
 
 
 def _is_said(word: str, words: Collection[str]) -> bool:
-    """Whether words say anything of what a word is about: of `key=value` only with that key.
+    """Return True if words concern the subject of a word: of `key=value` only with that key.
 
     Other versions have other keys.
     """

@@ -76,7 +76,7 @@ RecordT = TypeVar('RecordT', bound=Record)
 
 
 class Durability(Enum):
-    """How a topic is kept; the host maps it to QoS (docs/explanation/architecture.md)."""
+    """Durability of a topic; the host maps it to QoS (docs/explanation/architecture.md)."""
 
     STREAM = 'stream'
     """Reliable, volatile; deep on the publisher's side."""
@@ -188,9 +188,9 @@ class Component(Generic[ConfigT]):
     INPUTS: ClassVar[tuple[Input[Any], ...]] = ()
     OUTPUTS: ClassVar[tuple[Output, ...]] = ()
     MANAGED: ClassVar[bool] = False
-    """Whether the node has a managed lifecycle."""
+    """True if the node has a managed lifecycle."""
     MACHINE_SIDE: ClassVar[bool] = False
-    """Whether something moves by what it is told."""
+    """True if its inputs make something move."""
 
     def __init__(self, config: ConfigT | None = None) -> None:
         self._config: ConfigT = cast('ConfigT', self.CONFIG()) if config is None else config
@@ -326,7 +326,7 @@ class TickingComponent(Component[ConfigT], ABC):
     @property
     @abstractmethod
     def ticks_done(self) -> int:
-        """How many of `total_ticks` are over."""
+        """Number of `total_ticks` that are over."""
 
     @abstractmethod
     def tick(self) -> Iterator[Emission]:

@@ -33,7 +33,7 @@ _TYPECODES = {
 
 
 class Target:
-    """How to build messages for one library.
+    """Target library of messages: how to build them.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ class Status(IntEnum):
 
 
 class ForgetMode(IntEnum):
-    """What is forgotten of the thermal error, `ForgetThermalPosterior.MODE_*`."""
+    """Parts of the thermal error to forget, `ForgetThermalPosterior.MODE_*`."""
 
     WIDEN = 0
     UNDO = 1
@@ -41,7 +41,7 @@ class Coolant(IntEnum):
 
 
 class TouchKind(IntEnum):
-    """What happened in a probing cycle, `ProbeTouch.KIND_*`."""
+    """Events in a probing cycle, `ProbeTouch.KIND_*`."""
 
     BEGIN = 0
     TOUCH = 1
@@ -61,7 +61,7 @@ class Reason(IntEnum):
 
 
 class CompensationState(IntEnum):
-    """What the compensator is doing, `Compensation.STATE_*`."""
+    """States of the compensator, `Compensation.STATE_*`."""
 
     INACTIVE = 0
     ACTIVE = 1
@@ -71,7 +71,7 @@ class CompensationState(IntEnum):
 
 
 class AppliedStatus(IntEnum):
-    """What the machine side does, `CompensationApplied.STATUS_*`."""
+    """States of the machine side's offset input, `CompensationApplied.STATUS_*`."""
 
     IDLE = 0
     FOLLOWING = 1
@@ -80,7 +80,7 @@ class AppliedStatus(IntEnum):
 
 
 class TrajectoryStatus(IntEnum):
-    """What the machine side makes of its trajectory, `TrajectoryState.STATUS_*`."""
+    """States of the machine side's trajectory input, `TrajectoryState.STATUS_*`."""
 
     IDLE = 0
     FOLLOWING = 1
@@ -90,7 +90,7 @@ class TrajectoryStatus(IntEnum):
 
 
 class ServoStatus(IntEnum):
-    """What the position controllers do, `ServoState.STATUS_*`."""
+    """States of the position controllers, `ServoState.STATUS_*`."""
 
     INACTIVE = 0
     RESTING = 1
@@ -109,7 +109,7 @@ class SegmentKind(IntEnum):
 
 
 class Junction(IntEnum):
-    """What happens at the end of a segment of a tool path, `ToolPath.JUNCTION_*`."""
+    """Transitions at the end of a segment of a tool path, `ToolPath.JUNCTION_*`."""
 
     CONTINUOUS = 0
     EXACT_STOP = 1

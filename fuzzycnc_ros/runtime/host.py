@@ -59,12 +59,12 @@ WAS_FINALIZED = (
     'was shut down for good; end its process to activate it again: fuzzycnc up and the launch '
     'file start it anew, elsewhere start it yourself'
 )
-"""What is said of a node in that state, after its name."""
+"""Message on a node in that state, after its name."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NodeConfiguration(Record):
-    """What a node runs with."""
+    """Configuration that a node runs with."""
 
     TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/NodeConfiguration'
 
@@ -90,7 +90,7 @@ class NodeEvent(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecorderProgress(Record):
-    """How far the recorder has come."""
+    """Progress of the recorder."""
 
     TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/RecorderProgress'
 
@@ -313,7 +313,7 @@ class OpcuaServerConfig(ExecutorConfig):
 
 
 OWN_FOLDER = '~/.fuzzycnc/dashboard'
-"""Where the live page keeps its own token and certificate."""
+"""Folder of the live page's token and certificate."""
 
 
 @dataclass(frozen=True, kw_only=True)

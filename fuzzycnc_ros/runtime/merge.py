@@ -115,7 +115,7 @@ what it becomes at most by one that came later, since an outage is not usual."""
 
 @dataclass
 class InputCount:
-    """What happened on one input."""
+    """Counts of the records of one input."""
 
     received: int = 0
     dropped: int = 0
@@ -127,7 +127,7 @@ class InputCount:
     late: int = 0
     """Records that came after the component had worked past their stamp; a driving one is lost."""
     amiss_at: int | None = None
-    """When a record was dropped or late last [ns]."""
+    """Stamp of the newest dropped or late record [ns]."""
     newest: int | None = None
     """Newest stamp seen [ns]."""
     last: Record | None = None

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a node runs with and what was asked of it, written down so that a replay can repeat it."""
+"""Provenance: configuration and requests of a node, recorded so that a replay can repeat them."""
 
 import json
 from collections.abc import Mapping

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What components take and give: one frozen record per message of `fuzzycnc_msgs`.
+"""Inputs and outputs of components: one frozen record per message of `fuzzycnc_msgs`.
 
 Field names, order and meaning are those of the `.msg` files, where units and conventions are
 written down; `header` is spread into `stamp` and `frame_id`.  Stamps are whole nanoseconds of
@@ -268,7 +268,7 @@ class Compensation(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CompensationApplied(Record):
-    """What the machine side really applies."""
+    """Offsets in force at the machine side."""
 
     TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/CompensationApplied'
 
@@ -404,7 +404,7 @@ class CompensatedPath(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StitchedPath(Record):
-    """Where the stitches of a pattern lie once the sheet has relaxed."""
+    """Positions of a pattern's stitches once the sheet has relaxed."""
 
     TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/StitchedPath'
 
@@ -459,7 +459,7 @@ class Trajectory(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrajectoryState(Record):
-    """What the machine side makes of the trajectory that it was given."""
+    """Trajectory state of the machine side."""
 
     TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/TrajectoryState'
 
@@ -473,7 +473,7 @@ class TrajectoryState(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AxisState(Record):
-    """Where the axes of a machine are and where they are told to be."""
+    """Actual and commanded positions of the axes of a machine."""
 
     TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/AxisState'
 
@@ -485,7 +485,7 @@ class AxisState(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AxisCommand(Record):
-    """What the drives of the axes shall do until the next command."""
+    """Command to the drives of the axes, valid until the next one."""
 
     TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/AxisCommand'
 
@@ -497,7 +497,7 @@ class AxisCommand(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PositionCommand(Record):
-    """Where axes shall go, each from where it is and to rest there."""
+    """Target positions of axes, each approached from its present place and held there."""
 
     TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/PositionCommand'
 
@@ -508,7 +508,7 @@ class PositionCommand(Record):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ServoState(Record):
-    """What the position controllers of the axes do."""
+    """State of the position controllers of the axes."""
 
     TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/ServoState'
 

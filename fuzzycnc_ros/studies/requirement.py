@@ -19,7 +19,7 @@ _NEEDED_BY = {
     'ezdxf': _DESIGN,
     'cv2': _CAMERA,
 }
-"""Who needs a package, and the extra that brings it."""
+"""Use of each package, and the extra that brings it."""
 _DEBIAN = {
     'matplotlib': 'python3-matplotlib',
     'jinja2': 'python3-jinja2',

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What browsers get: the live page with its server, and uPlot's plots (vendor/uplot, MIT)."""
+"""Web interface: the live page with its server, and uPlot's plots (vendor/uplot, MIT)."""
 
 from importlib.resources import files
 

@@ -63,7 +63,7 @@ class ActionRefusedError(Exception):
 
 
 class Machines(Protocol):
-    """What the page shows and acts at."""
+    """Machines that the page shows and acts at."""
 
     @property
     def machines(self) -> Collection[str]:

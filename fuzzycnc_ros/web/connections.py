@@ -59,7 +59,7 @@ class WatchedConnection(H11Protocol):
     """A connection that is closed if its client is slow to speak or to listen."""
 
     open = 0
-    """How many there are in this process, WebSockets apart."""
+    """Number of connections in this process, WebSockets apart."""
 
     def __init__(self, config: Config, *rest: Any, **more: Any) -> None:
         super().__init__(config, *rest, **more)

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Who may ask the page for what: hosts, origins, the token, and what browsers may do with it."""
+"""Access rules of the page: hosts, origins, the token, and the rights of browsers."""
 
 import ipaddress
 import socket
@@ -26,7 +26,7 @@ HEADERS = {
     'Cross-Origin-Opener-Policy': 'same-origin',
     'Cross-Origin-Resource-Policy': 'same-origin',
 }
-"""What every answer says to browsers."""
+"""Headers of every answer to browsers."""
 REFUSED = 1008
 """Close code of a WebSocket that the rules refuse."""
 
@@ -114,7 +114,7 @@ def _add_headers(message: MutableMapping[str, Any]) -> None:
 
 
 class Token:
-    """What those show who may act.
+    """Token of those who may act.
 
     Parameters
     ----------
@@ -127,11 +127,11 @@ class Token:
 
     @property
     def demanded(self) -> bool:
-        """Whether acting needs it."""
+        """True if acting needs it."""
         return bool(self._secret)
 
     def shown(self, headers: Headers) -> bool:
-        """Whether a request shows it, or need not; compared in the same time whatever it shows."""
+        """Return True if a request shows it, or need not; compared in constant time."""
         kind, _, given = headers.get('authorization', '').partition(' ')
         same = compare_digest(given.strip().encode(), self._secret)
         return not self.demanded or (kind.lower() == 'bearer' and same)

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the page's server keeps: the token, and a certificate that it makes for itself."""
+"""Secrets of the page's server: the token, and a certificate that it makes for itself."""
 
 import datetime
 import hashlib

@@ -22,7 +22,7 @@ REPORTS = ('report.html',)
 
 
 RECORDED = (Tier(10.0, 8640), Tier(60.0, 20160))
-"""How finely a bag is kept once it was read: a day in rows of 10 s, two weeks in minutes."""
+"""Resolution of a bag once it was read: a day in rows of 10 s, two weeks in minutes."""
 KEPT = 3
 """Bags that are kept so."""
 LOOKED_INTO = 10
@@ -140,7 +140,7 @@ def _metadata(bag: Path) -> Metadata | None:
 
 
 def _open(metadata: Metadata) -> bool:
-    """Whether a recorder still writes the bag, or was killed while it did."""
+    """Return True if a recorder still writes the bag, or was killed while it did."""
     return metadata.custom.get('fuzzycnc_state') == 'recording'
 
 

@@ -44,7 +44,7 @@ class LinuxcncError(LinkError):
 
 
 def linuxcnc_runs() -> bool:
-    """Whether a LinuxCNC runs on this machine."""
+    """Return True if a LinuxCNC runs on this machine."""
     return hal_process.hal_memory() is not None
 
 

@@ -19,7 +19,7 @@ from importlib import import_module
 from pathlib import Path
 
 MODULES = '/usr/lib/python3/dist-packages'
-"""Where Debian puts hal and linuxcnc."""
+"""Folder in which Debian installs hal and linuxcnc."""
 HAL_KEY = 0x48414C32
 """Key of the shared memory that HAL uses."""
 MODE_PERIOD = 0.05
@@ -29,9 +29,9 @@ ARMING = 0.05
 PREFIX = 'fuzzycnc'
 HAL_FILES = ('fuzzycnc.hal', 'fuzzycnc_offset.hal')
 LINE = ('offset', 'slope', 'reference')
-"""What the component fuzzycnc_offset takes of each axis."""
+"""Inputs of the component fuzzycnc_offset for each axis."""
 VALID_FOR = 10.0
-"""How long it may follow a set without another one [s]."""
+"""Validity of a set without a following one [s]."""
 TAKEN = 3.0
 """Time [s] after which a set that it has not taken is told; it takes two servo periods, and a
 servo thread that stands still is told before."""
@@ -82,7 +82,7 @@ def begin_of(process):
 
 
 def is_dead(component):
-    """Whether a component is a bridge whose process is gone; others are none of our business."""
+    """Return True if a component is a bridge whose process is gone; all others are left alone."""
     parts = component.split('-')
     if len(parts) != 3 or parts[0] != PREFIX or not (parts[1] + parts[2]).isdigit():
         return False

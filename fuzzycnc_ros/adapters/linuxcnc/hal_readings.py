@@ -44,7 +44,7 @@ class Hal(Device):
 
     @property
     def address(self) -> str:
-        """Where it is, for messages."""
+        """Address for messages."""
         return 'HAL of LinuxCNC'
 
     def connect(self) -> Link:

@@ -71,7 +71,7 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
 
     @property
     def moving(self) -> bool:
-        """Whether LinuxCNC is on its way to what was written last."""
+        """True while LinuxCNC moves towards the newest command."""
         status, orders = self._status, self._orders
         if status is None or orders is None or not status.led:
             return False
@@ -85,7 +85,7 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
 
     @property
     def at_rest(self) -> bool:
-        """Whether it is inactive and has nothing to take back: the pins may be let go."""
+        """True if it is inactive with nothing to take back: the pins may be let go."""
         status = self._status
         if self._active or not self._holding or status is None:
             return not self._active
@@ -97,7 +97,7 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
 
     @property
     def wants_control(self) -> bool:
-        """Whether it is time to take the pins: active without them, and nothing else moves."""
+        """True if it is time to take the pins: active without them, and nothing else moves."""
         return self._active and not self._holding and self._registers.settled
 
     def take_control(self) -> None:
@@ -187,7 +187,7 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
 
     @property
     def _leads(self) -> bool:
-        """Whether the registers go where this bridge says."""
+        """True if the registers follow this bridge."""
         return self._holding and self._registers.phase is not RegisterPhase.SETTLING
 
     def _forbidden(self, status: ControllerStatus) -> str:
@@ -229,7 +229,7 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
             self._apart_since = self._time
 
     def _cut(self, status: ControllerStatus) -> Bools:
-        """Whether LinuxCNC itself cuts the offset of each axis."""
+        """Return True for each axis whose offset LinuxCNC itself cuts."""
         apart = np.abs(status.applied - status.register) > CLOSE
         return np.asarray(apart & status.soft_limited, bool)
 
@@ -266,6 +266,6 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
         return lines.at(np.where(np.isnan(status.position), 0.0, status.position))
 
     def _beyond(self, status: ControllerStatus) -> Bools:
-        """Whether the size limit cuts the line of each axis where it is, or at an end."""
+        """Return True for each axis whose line the size limit cuts here or at an end."""
         here = np.abs(self._asked_at(status)) > self._config.offset_max + NOTHING
         return np.asarray(here | self._clipped, bool)

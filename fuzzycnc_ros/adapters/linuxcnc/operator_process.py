@@ -21,7 +21,7 @@ ACCEPT_TIMEOUT = 60.0
 
 
 class Operator:
-    """What a person does at the machine."""
+    """Person at the machine: switches it on, homes it and runs programs."""
 
     def __init__(self):
         self._command, self._state = linuxcnc.command(), linuxcnc.stat()

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a real LinuxCNC commands to its joints in every servo period, recorded by HAL's sampler."""
+"""Joint commands of a real LinuxCNC in every servo period, recorded by HAL's sampler."""
 
 from __future__ import annotations
 

@@ -173,7 +173,7 @@ class LinuxcncSimulation:
 
     @property
     def log(self) -> str:
-        """What LinuxCNC has written."""
+        """Log of LinuxCNC."""
         path = self._folder / f'linuxcnc{self._starts}.log'
         return path.read_text(errors='replace')
 

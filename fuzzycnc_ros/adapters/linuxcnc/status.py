@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What passes between the bridge and LinuxCNC in one cycle, in SI units."""
+"""Data exchanged between the bridge and LinuxCNC in one cycle, in SI units."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -14,7 +14,7 @@ from fuzzycnc_ros.runtime.records import Floats
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControllerStatus(Readout):
-    """What LinuxCNC tells; `ready` means that its offset registers take counts."""
+    """State read from LinuxCNC; `ready` means that its offset registers take counts."""
 
     alive: bool
     """The watchdog in the servo thread hears this bridge."""
@@ -31,13 +31,13 @@ class ControllerStatus(Readout):
     lines: Lines | None = None
     """Lines that the servo thread goes along; None where it knows none but counts."""
     travel: Travel
-    """Where offsets may slope."""
+    """Travel along which offsets may slope."""
     base: Floats | None = None
     """Offset at counts of zero, as the servo thread found it in its newest period [m]."""
     tracking: bool = True
-    """Whether LinuxCNC moves offsets: not in joint mode."""
+    """True if LinuxCNC moves offsets: not in joint mode."""
     tick: int
-    """How long the servo thread took in its newest period, in its own unit: another number is
+    """Duration of the servo thread in its newest period, in its own unit: another number is
     another period."""
 
     @property
@@ -49,7 +49,7 @@ class ControllerStatus(Readout):
 
     @property
     def led(self) -> bool:
-        """Whether the registers follow the counts, and the counts this bridge."""
+        """True if the registers follow the counts, and the counts this bridge."""
         return self.ready and self.alive and not self.frozen
 
 
@@ -63,12 +63,12 @@ class ControllerLimits:
     slope: float = 0.0
     """Steepest line [counts/m]; 0 where the servo thread takes none."""
     hold_time: float
-    """How long offsets stand without a bridge [s]."""
+    """Time for which offsets stand without a bridge [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControllerOutput:
-    """What the bridge writes."""
+    """Command written by the bridge."""
 
     counts: Floats
     """Offsets at the references, parallel to the axes [counts]."""
@@ -90,7 +90,7 @@ TOLERANCE = 2.0
 
 
 class RegisterPhase(Enum):
-    """What is done about the bases."""
+    """Treatment of the bases."""
 
     SETTLING = 'settling'
     FOLLOWING = 'following'
@@ -119,7 +119,7 @@ class OffsetRegisters:
 
     @property
     def settled(self) -> bool:
-        """Whether the bases are known: for some periods nothing has moved the counts."""
+        """True if the bases are known: for some periods nothing has moved the counts."""
         return self._cycles >= SURE
 
     def restart(self) -> None:

@@ -106,7 +106,7 @@ class ModbusTcpDevice(ModbusDevice):
 
     @property
     def address(self) -> str:
-        """Where it is, for messages."""
+        """Address for messages."""
         return f'Modbus TCP {self.host}:{self.port} unit {self.unit}'
 
     def connect(self) -> Link:
@@ -146,7 +146,7 @@ class ModbusRtuDevice(ModbusDevice):
 
     @property
     def address(self) -> str:
-        """Where it is, for messages."""
+        """Address for messages."""
         return f'Modbus RTU {self.line.port} unit {self.unit}'
 
     def connect(self) -> Link:
@@ -257,7 +257,7 @@ class ModbusRtu(_Modbus):
 
     @property
     def line(self) -> SerialLine:
-        """How its line is used."""
+        """Settings of its serial line."""
         return SerialLine(self.port, self.baud_rate, self.parity, self.stop_bits)
 
     def clash(self, other: DeviceFields) -> str:

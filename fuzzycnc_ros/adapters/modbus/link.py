@@ -55,11 +55,11 @@ class ModbusLink(Link):
         self._device = device
         self._blocks = blocks(device.channels)
         self._first: dict[int, tuple[list[int], float]] = {}
-        """What each register has read since the connection began, and when that was."""
+        """First reading of each register since the connection began, and its time."""
         self._moved: set[int] = set()
         """Registers that have read something else since."""
         self._course: dict[int, deque[list[int]]] = {}
-        """What registers have read, each time they changed."""
+        """Readings of registers, each time they changed."""
 
     @property
     def requests(self) -> int:

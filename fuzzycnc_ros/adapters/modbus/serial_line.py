@@ -65,7 +65,7 @@ class _Line:
 
     @property
     def disturbed(self) -> bool:
-        """Whether something else was on the line a short while ago."""
+        """True if something else was on the line a short while ago."""
         return time.monotonic() - self._disturbed_at < QUIET
 
     async def open(self) -> None:

@@ -27,7 +27,7 @@ PORT, PORT_TLS = 1883, 8883
 
 @dataclass(frozen=True, kw_only=True)
 class Tls:
-    """How the way to a broker is secured.
+    """Encryption of the connection to a broker.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class Broker:
 
     @property
     def address(self) -> str:
-        """Where it is, for messages."""
+        """Address for messages."""
         return f'MQTT {self.host}:{self.port}'
 
 
@@ -89,7 +89,7 @@ class ReportBroker(Broker):
 
 
 class _TlsFields(Fields):
-    """How the way is secured."""
+    """Encryption of the connection."""
 
     ca: File = Field(description='Certificates of those who may vouch for the broker, PEM')
     certificate: File = Field(default_factory=Path, description='Own certificate, PEM')
@@ -103,7 +103,7 @@ class _TlsFields(Fields):
 
 
 class BrokerFields(Fields):
-    """Where a broker is and how the way to it is secured."""
+    """Address of a broker, and the encryption of the connection."""
 
     host: Annotated[str, Text()] = Field(description='Name or address, as in its certificate')
     port: Annotated[int, Number(0, 65535, whole=True)] = Field(

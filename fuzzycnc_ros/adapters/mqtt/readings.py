@@ -58,7 +58,7 @@ class Message(Channel):
 
     @property
     def place(self) -> str:
-        """Where it lies, for messages."""
+        """Topic and path of the reading, for messages."""
         return f'{self.topic} {self.way}'.rstrip()
 
 

@@ -33,7 +33,7 @@ from fuzzycnc_ros.adapters.yaml_model import (
 
 
 class Quantity(Enum):
-    """What a data item of an MTConnect agent is read as."""
+    """Quantities of data items of an MTConnect agent."""
 
     TEMPERATURE = 'temperature'
     SPEED = 'speed'
@@ -86,7 +86,7 @@ class MtconnectDevice(Device):
 
     @property
     def address(self) -> str:
-        """Where it is, for messages."""
+        """Address for messages."""
         scheme = 'https' if self.encrypted else 'http'
         return f'MTConnect {scheme}://{self.host}:{self.port}{self.path}'
 

@@ -20,7 +20,7 @@ DEPTH_MAX = 100
 
 @dataclass(frozen=True)
 class DataItem:
-    """What an agent says of one quantity.
+    """Data item of an agent.
 
     Attributes
     ----------

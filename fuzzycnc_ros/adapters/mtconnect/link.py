@@ -100,7 +100,7 @@ class MtconnectLink(Link):
 
     @property
     def facts(self) -> Mapping[str, str]:
-        """What happened since the connection was made, and how far the agent's clock is ahead."""
+        """Events since the connection was made, and the lead of the agent's clock."""
         with self._lock:
             facts = {name: str(self._events[name]) for name in ('sequence_gaps', 'restarts')}
             if math.isfinite(self._ahead):

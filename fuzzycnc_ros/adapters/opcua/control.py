@@ -30,7 +30,7 @@ T = TypeVar('T')
 
 @dataclass(frozen=True, kw_only=True)
 class ControlFile:
-    """What a control file says.
+    """Settings of a control file.
 
     Parameters
     ----------

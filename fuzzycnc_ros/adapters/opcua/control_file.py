@@ -55,7 +55,7 @@ class _Speed(_Quantity):
 
 @dataclass(frozen=True)
 class _Role:
-    """What a variable is for."""
+    """Role of a variable."""
 
     kind: Kind
     written: bool = False
@@ -155,7 +155,7 @@ class _Axis(Fields):
 
 
 class ControlFields(ServerFields):
-    """Where a control is, and which of its variables take part in compensation."""
+    """Server of a control, and its variables that take part in compensation."""
 
     unit: Annotated[str, Word(('um', 'mm', 'm', 'inch'))] = Field(description='Unit of offsets')
     position_unit: Annotated[str, Word(('um', 'mm', 'm', 'inch'))] = Field(

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What files say of OPC UA: servers, their security, and where a variable lies."""
+"""Fields of files for OPC UA: servers, their security, and the address of a variable."""
 
 import re
 from pathlib import Path
@@ -96,7 +96,7 @@ class PlaceFields(Fields):
 
 
 class SecurityFields(Fields):
-    """How the connection is secured."""
+    """Security of the connection."""
 
     policy: Annotated[str, Word(POLICIES)] = Field(description='Security policy')
     mode: Annotated[str, Word(MODES)] = Field(ENCRYPTED, description='Security mode')
@@ -109,7 +109,7 @@ class SecurityFields(Fields):
 
 
 class ServerFields(Fields):
-    """Where a server is, and how it is entered."""
+    """Address of a server, and the credentials for it."""
 
     url: Annotated[str, Text(r'opc\.tcp://.+'), AfterValidator(_url)] = Field(
         description='Address, opc.tcp://HOST:PORT/PATH'

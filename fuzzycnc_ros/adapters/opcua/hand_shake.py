@@ -17,11 +17,11 @@ from fuzzycnc_ros.runtime.records import SECOND, Floats, nanoseconds
 NUMBERS = 32767
 """Numbers go from 1 to this and begin anew, so that a 16-bit integer holds them; 0 is nobody."""
 REMEMBERED = 16
-"""How many numbers back the variables may be: some controls show what was written late."""
+"""Greatest lag of the numbers in the variables: some controls show what was written late."""
 FINE = 1e-8
 """Change of an offset that is worth a new set [m]."""
 COLLISION_PAUSE = 10.0
-"""How long nobody must have written after two have [s]."""
+"""Time without any writer that must follow a collision of two [s]."""
 
 
 class HandShake:
@@ -75,7 +75,7 @@ class HandShake:
         self._acknowledged = True
 
     def wrote(self, status: LineStatus) -> bool:
-        """Whether what stands in the variables was written here."""
+        """Return True if the values in the variables were written here."""
         if status.sequence not in self._sequences or status.heartbeat not in self._heartbeats:
             return False
         if status.sequence == self.sequence:
@@ -88,7 +88,7 @@ class HandShake:
         return self._stood is None or status.sequence != self.sequence or stands == self._stood
 
     def acknowledged(self, status: LineStatus) -> bool:
-        """Whether the control follows the newest set."""
+        """Return True if the control follows the newest set."""
         return self._lines is not None and status.acknowledged == self.sequence
 
     def waits(self, time: int) -> float:
@@ -139,7 +139,7 @@ class WriterWatch:
 
     @property
     def other(self) -> str:
-        """Who was seen to write; empty if nobody was."""
+        """Name of another writer that was seen; empty if none was."""
         return self._name if self._moved else ''
 
     def look(self, time: int, status: LineStatus, *, ours: bool) -> None:
@@ -167,7 +167,7 @@ class WriterWatch:
         self._from, self._moved = time + nanoseconds(COLLISION_PAUSE), True
 
     def free(self, time: int, status: LineStatus) -> bool:
-        """Whether nobody writes: the hand-shake was given back, or has stood still."""
+        """Return True if there is no writer: the hand-shake was given back, or has stood still."""
         if self._seen is None or self._moved or time < self._from:
             return False
         return status.sequence == 0 or time - self._since >= self._quiet

@@ -23,7 +23,7 @@ from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.records import Bools, Floats, nanoseconds
 
 MOTION = 0.01
-"""How far an axis may go between the readings of its position and its offset [m]."""
+"""Largest motion of an axis between the readings of its position and its offset [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +74,7 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
 
     @property
     def moving(self) -> bool:
-        """Whether the control is on its way to what was written last."""
+        """True while the control moves towards the newest command."""
         status, orders = self._status, self._orders
         if status is None or orders is None:
             return False
@@ -82,7 +82,7 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
 
     @property
     def at_rest(self) -> bool:
-        """Whether it is inactive and the control has gone to zero, and said so."""
+        """True if it is inactive and the control has gone to zero, and said so."""
         status, lines = self._status, self._hand_shake.lines
         if self._active or not self._holding or status is None:
             return not self._active
@@ -92,7 +92,7 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
 
     @property
     def wants_control(self) -> bool:
-        """Whether it is time to take hold: active without it, and nobody else writes."""
+        """True if it is time to take hold: active without it, and no other writer."""
         status = self._status
         if status is None or not self._active or self._holding:
             return False
@@ -165,7 +165,7 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
 
     @property
     def _leads(self) -> bool:
-        """Whether the control goes where this bridge says."""
+        """True if the control follows this bridge."""
         status = self._status
         if not self._holding or status is None or not status.alive or self._late:
             return False
@@ -173,7 +173,7 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
 
     @property
     def _late(self) -> bool:
-        """Whether the control should have acknowledged the newest set by now."""
+        """True if the control should have acknowledged the newest set by now."""
         return self._hand_shake.waits(self._time) > self._config.acknowledge_time
 
     def _look_for_others(self, status: LineStatus) -> None:
@@ -194,7 +194,7 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
         self._adopt(lines, status)
 
     def _stands(self, status: LineStatus) -> bool:
-        """Whether the control follows the lines in its variables, as far as that can be seen."""
+        """Return True if the control follows the lines in its variables, as far as can be seen."""
         lines = status.lines
         numbers = (lines.offset, lines.slope, lines.reference_position)
         if not all(np.all(np.isfinite(item)) for item in numbers) or not status.alive:
@@ -246,14 +246,14 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
         return np.maximum(CLOSE, status.limits.resolution)
 
     def _apart(self, status: LineStatus) -> Bools:
-        """Whether each axis is not where the set says; no where that cannot be known."""
+        """Return True for each axis that has not reached the set; False where that is unknown."""
         lines = self._hand_shake.lines
         if lines is None or not self._holding:
             return np.zeros(len(self._axes), bool)
         return self._away(status, lines)
 
     def _away(self, status: LineStatus, lines: Lines) -> Bools:
-        """Whether each axis is not where lines say."""
+        """Return True for each axis that is not where lines put it."""
         apart = np.abs(status.applied - lines.at(status.position))
         near = self._close(status) + MOTION * np.abs(lines.slope)
         return np.asarray(apart > near, bool)
@@ -267,7 +267,7 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
             self._apart_since = self._time
 
     def _cut(self, status: LineStatus) -> Bools:
-        """Whether a limit cuts the offset of each axis: ours, or that of the control."""
+        """Return True for each axis whose offset a limit cuts: ours, or that of the control."""
         full = np.abs(status.applied) >= status.limits.offset_max * (1.0 - 1e-6)
         guarded = (self._clipped | self._narrowed) & self._leads
         return np.asarray(guarded | (full & self._apart(status)), bool)

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What passes to and from a control that takes offsets along its axes as lines."""
+"""Data exchanged with a control that takes offsets along its axes as lines."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from fuzzycnc_ros.runtime.records import Floats
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LineLimits:
-    """What a control that takes lines keeps whatever it is told."""
+    """Limits that a control that takes lines keeps by itself."""
 
     offset_max: Floats
     """Largest offset of each axis; infinite where it does not tell [m]."""
@@ -25,7 +25,7 @@ class LineLimits:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LineStatus(Readout):
-    """What a control that takes lines tells in one cycle."""
+    """State read in one cycle from a control that takes lines."""
 
     lines: Lines
     """The set that stands in its variables."""
@@ -35,9 +35,9 @@ class LineStatus(Readout):
     """Number of the set that it follows."""
     heartbeat: int
     allowed: bool = True
-    """Whether it takes offsets in its present state, apart from being on and homed."""
+    """True if it takes offsets in its present state, apart from being on and homed."""
     alive: bool = True
-    """Whether its watchdog hears somebody."""
+    """True if its watchdog sees a heartbeat."""
     limits: LineLimits
 
     @property
@@ -51,10 +51,10 @@ class LineStatus(Readout):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LineOrders:
-    """What a bridge writes: the set as a whole when its number is new, the heartbeat always."""
+    """Command written by a bridge: the set as a whole when its number is new; heartbeats."""
 
     lines: Lines
     sequence: int
     heartbeat: int
     validity: float
-    """How long the control may follow the set without a newer one [s]."""
+    """Time for which the control may follow the set without a newer one [s]."""

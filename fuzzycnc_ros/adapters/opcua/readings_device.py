@@ -35,7 +35,7 @@ class OpcUaDevice(Device, Server):
 
     @property
     def address(self) -> str:
-        """Where it is, for messages."""
+        """Address for messages."""
         return f'OPC UA {self.url}'
 
     def connect(self) -> Link:

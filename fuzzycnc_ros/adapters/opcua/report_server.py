@@ -32,7 +32,7 @@ ALARMS = 'alarms'
 
 @dataclass(frozen=True)
 class Entry:
-    """How a server is entered by others than this computer.
+    """Access to a server from other computers.
 
     Parameters
     ----------

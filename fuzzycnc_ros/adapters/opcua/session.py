@@ -34,7 +34,7 @@ UNKNOWN_NODE = ('BadNodeIdUnknown', 'BadNodeIdInvalid')
 
 @dataclass(frozen=True, kw_only=True)
 class Security:
-    """How a connection to an OPC UA server is secured: names and files."""
+    """Security of the connection to an OPC UA server: names and files."""
 
     policy: str
     mode: str
@@ -42,12 +42,12 @@ class Security:
     private_key: Path
     server_certificate: Path
     pinned: bool
-    """Whether `server_certificate` is what the server showed first, made when it does."""
+    """True if `server_certificate` is the one that the server showed first, made when it does."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Server:
-    """Where an OPC UA server is, and how it is entered."""
+    """Address of an OPC UA server, and the credentials for it."""
 
     url: str
     timeout: float
@@ -70,11 +70,11 @@ class Address:
 
 
 class AnyServer(Protocol):
-    """What a session has to know of a server."""
+    """Settings of a server that a session needs."""
 
     @property
     def url(self) -> str:
-        """Where it is."""
+        """Address of the server."""
 
     @property
     def timeout(self) -> float:
@@ -82,7 +82,7 @@ class AnyServer(Protocol):
 
     @property
     def security(self) -> Security | None:
-        """How the connection is secured."""
+        """Security of the connection."""
 
     @property
     def credentials(self) -> Path | None:
@@ -111,7 +111,7 @@ class OpcUaSession:
         self._server, self._application, self._login = server, application, login
         self.client = self._new_client()
         self.well = False
-        """Whether the server still hears us: then it is told when we go."""
+        """True if the server still answers: then it is told of the end of the session."""
 
     def _new_client(self) -> 'Client':
         from asyncua import Client

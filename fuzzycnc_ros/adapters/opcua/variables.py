@@ -45,7 +45,7 @@ NOT_READABLE = ('BadNotReadable', 'BadUserAccessDenied')
 
 
 class Kind(Enum):
-    """What a variable holds."""
+    """Types of the values of a variable."""
 
     QUANTITY = 'a number (Float, Double, or an integer with a scale)'
     COUNT = 'a whole number of 16 bits or more (Int16, UInt16, Int32, UInt32, Int64, UInt64)'

@@ -77,7 +77,7 @@ class _Artefact(Fields):
 
 
 class ProbeFields(Fields):
-    """What is probed, and the box in which the probe moves; lengths in mm."""
+    """Surfaces to probe, and the box in which the probe moves; lengths in mm."""
 
     box: dict[str, Annotated[tuple[float, ...], Numbers()]] = Field(
         description='Lower and upper end of each axis, machine coordinates [mm]'

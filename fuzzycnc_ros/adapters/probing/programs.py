@@ -24,7 +24,7 @@ FOLDER = Path(__file__).with_name('programs')
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a control writes programs.
+    """Dialect of a control's programs.
 
     Attributes
     ----------

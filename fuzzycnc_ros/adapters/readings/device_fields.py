@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What files say of any device and its sensors; each protocol adds its own fields."""
+"""Fields of files for any device and its sensors; each protocol adds its own."""
 
 import math
 import re

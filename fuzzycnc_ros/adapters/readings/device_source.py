@@ -152,7 +152,7 @@ class DeviceSource(Source):
 
 
 class DeviceHealth:
-    """What is known of a device, for /diagnostics and the log.
+    """Health of a device, for /diagnostics and the log.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ class Channel:
 
 @dataclass(frozen=True, kw_only=True)
 class Device(ABC):
-    """What all devices have.
+    """Base of all devices.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class Device(ABC):
     @property
     @abstractmethod
     def address(self) -> str:
-        """Where it is, for messages."""
+        """Address for messages."""
 
     @abstractmethod
     def connect(self) -> Link:

@@ -81,12 +81,12 @@ class LineDevice(Device):
 
     @property
     def is_serial(self) -> bool:
-        """Whether it is a serial port."""
+        """True if it is a serial port."""
         return self.port.startswith('/')
 
     @property
     def address(self) -> str:
-        """Where it is, for messages."""
+        """Address for messages."""
         return f'lines from {self.port}'
 
     def connect(self) -> Link:
@@ -196,7 +196,7 @@ class LineLink(Link):
 
     @property
     def facts(self) -> dict[str, str]:
-        """How many lines were none since the connection was made."""
+        """Number of refused lines since the connection was made."""
         return {'lines_refused': str(self._refused)}
 
     async def open(self) -> None:

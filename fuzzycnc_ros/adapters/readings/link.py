@@ -24,7 +24,7 @@ class Link(Protocol):
 
     @property
     def facts(self) -> Mapping[str, str]:
-        """What else is worth a line in /diagnostics; most protocols have nothing."""
+        """Further entries of /diagnostics; most protocols have none."""
         return {}
 
     async def open(self) -> None:

@@ -71,7 +71,7 @@ class Moonraker(Device):
 
     @property
     def address(self) -> str:
-        """Where it is, for messages."""
+        """Address for messages."""
         return f'Moonraker {self.url}'
 
     def connect(self) -> Link:

@@ -18,7 +18,7 @@ from fuzzycnc_ros.adapters.yaml_model import AfterValidator, Field, Shorthand, T
 FOLDER = '/sys/bus/w1/devices'
 IDENTIFIER = r'[0-9a-f]{2}-[0-9a-f]{12}'
 POWER_ON = 85.0
-"""What a sensor reads that was powered on and has not measured since [degC]."""
+"""Reading of a sensor that was powered on and has not measured since [degC]."""
 BELIEVED = 3.0
 """Distance of the last reading from it within which it is believed [K]."""
 FILE_MAX = 4096
@@ -44,7 +44,7 @@ class OneWire(Device):
 
     @property
     def address(self) -> str:
-        """Where it is, for messages."""
+        """Address for messages."""
         return f'1-Wire {self.folder}'
 
     def connect(self) -> Link:

@@ -32,7 +32,7 @@ TEXT_MAX = 300
 
 @dataclass(frozen=True)
 class Polled:
-    """What came of asking a device once.
+    """Result of one request to a device.
 
     Attributes
     ----------

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What all drivers have in common: their end, their health, and sets of raw readings."""
+"""Base of all drivers: their end, their health, and sets of raw readings."""
 
 from collections.abc import Sequence
 
@@ -60,7 +60,7 @@ class Readings:
 
     @property
     def heard(self) -> bool:
-        """Whether the component reads them by now."""
+        """True if the component reads them by now."""
         return int(self._publisher.get_subscription_count()) > 0
 
     def publish(self, stamp: int, temperature: Floats) -> None:

@@ -52,7 +52,7 @@ MACHINE_CHOICES = ('pid', 'cascade', 'linear_tangent', 'variable_universe')
 """Controllers of an axis of a machine file."""
 
 SENSORS = ('grating', 'encoder')
-"""What measures the position of an axis."""
+"""Sensors of the position of an axis."""
 
 DURATION_MIN, DURATION_MAX = 0.05, 120.0
 """Lengths of a run that are simulated [s]."""
@@ -64,7 +64,7 @@ STEP_MIN = 1e-6
 """Least way of a move [m]."""
 
 BESIDE_LOAD = 0.12
-"""What friction takes beside the load [-], as duty."""
+"""Friction beside the load [-], as duty."""
 
 
 def position(

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Effort:
-    """What is searched and what it may cost: seed, generations, candidates per setting."""
+    """Effort of a search: seed, generations, candidates per setting."""
 
     search: tuple[str, ...]
     seed: int

@@ -9,12 +9,12 @@ from fuzzycnc_ros.cli.demo.steps import Outcome, Steps
 from fuzzycnc_ros.cli.demo.whole_days import run_days
 
 CANDIDATES = ('least_squares', 'static_ridge', 'lag_ridge', 'lag_ridge_speed')
-"""What is tried: quick, and as good here as the rest."""
+"""Candidates of the demo: quick, and as good here as the rest."""
 
 
 @dataclass
 class AxisResult:
-    """What the demo found, as it is written to `summary.json`."""
+    """Figures of the demo, as written to `summary.json`."""
 
     axes: dict[str, dict[str, float]]
     model: dict[str, str]

@@ -25,7 +25,7 @@ from fuzzycnc_ros.ros.presence import GraphError
 
 
 class Scenario(str, Enum):
-    """What the demo shows."""
+    """Scenarios of the demo."""
 
     thermal = 'thermal'
     learn = 'learn'

@@ -18,7 +18,7 @@ TOLERANCE = 5e-5
 
 @dataclass
 class ContourResult:
-    """What the demo found, as it is written to `summary.json`."""
+    """Figures of the demo, as written to `summary.json`."""
 
     paths: dict[str, dict[str, float]]
     in_process: dict[str, dict[str, float]]

@@ -11,7 +11,7 @@ from fuzzycnc_ros.cli.demo.whole_days import run_days
 
 @dataclass
 class LearnResult:
-    """What the demo found, as it is written to `summary.json`."""
+    """Figures of the demo, as written to `summary.json`."""
 
     days: dict[str, dict[str, dict[str, float]]]
     probe_every_s: float

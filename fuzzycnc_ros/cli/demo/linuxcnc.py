@@ -45,7 +45,7 @@ START_TIMEOUT = 30.0
 
 @dataclass
 class ClosedLoopResult:
-    """What the demo found, as it is written to `summary.json`."""
+    """Figures of the demo, as written to `summary.json`."""
 
     runs: dict[str, Any]
     linuxcnc: str

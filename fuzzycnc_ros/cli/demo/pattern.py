@@ -20,7 +20,7 @@ BAGS = {'before': 'before', 'after': 'bag'}
 
 @dataclass
 class PatternResult:
-    """What the demo found, as it is written to `summary.json`."""
+    """Figures of the demo, as written to `summary.json`."""
 
     runs: dict[str, dict[str, float]]
     in_process: dict[str, dict[str, float]]

@@ -27,12 +27,12 @@ MILL = 'mill'
 LIVE = {MILL: 'bag', QUILT: 'quilt'}
 """Bag of each machine over DDS."""
 THERMAL_MAX, POSITIONING_MAX, ANGLE_CUT = 5e-6, 2e-6, 0.8
-"""What is to be reached: thermal and positioning error [m], part of the angle error cut [-]."""
+"""Targets: thermal and positioning error [m], part of the angle error cut [-]."""
 
 
 @dataclass
 class ShiftResult:
-    """What the demo found, as it is written to `summary.json`."""
+    """Figures of the demo, as written to `summary.json`."""
 
     jobs: list[dict[str, Any]]
     thermal_max_um: float

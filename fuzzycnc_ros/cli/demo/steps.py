@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the scenarios of `fuzzycnc demo` share: folder, steps, live graphs, what is shown."""
+"""Common part of the scenarios of `fuzzycnc demo`: folder, steps, live graphs, output."""
 
 import fcntl
 import json
@@ -119,7 +119,7 @@ class Bar:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What came of a scenario.
+    """Result of a scenario.
 
     Attributes
     ----------

@@ -21,7 +21,7 @@ UNSEEN = ('T2', 'T3')
 
 @dataclass
 class ThermalResult:
-    """What the demo found, as it is written to `summary.json`."""
+    """Figures of the demo, as written to `summary.json`."""
 
     runs: dict[str, Any]
     latency_ms: dict[str, float]

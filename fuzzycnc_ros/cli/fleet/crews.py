@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Who does the work of a fleet, and the options that all its commands share."""
+"""Workers of a fleet, and the options that all its commands share."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.studies.fleet.in_flight import Crew
 
 MACHINE_BY = ('bag', 'folder')
-"""What names the machine of a bag; where that is used would load numpy."""
+"""Sources of a machine's name in a bag; where that is used would load numpy."""
 
 MachineBy = Annotated[
     str,

@@ -32,7 +32,7 @@ STARVED = (
     'pthread_create failed',
     "can't start new thread",
 )
-"""What Python, the loader and the middleware write where a process gets no more memory."""
+"""Texts of Python, the loader and the middleware where a process gets no more memory."""
 
 
 def parameter_file(folder: Path, namespace: str, specs: Sequence[NodeSpec]) -> Path:

@@ -100,7 +100,7 @@ class Operator:
             self._executor.spin_once(timeout_sec=timeout)
 
     def has_publisher(self, topic: str) -> bool:
-        """Whether somebody else publishes a topic of the machine, or an absolute one."""
+        """Return True if another node publishes a topic of the machine, or an absolute one."""
         return self.node.count_publishers(topic) > 0
 
     def newest(self, record: type[Record], topic: str) -> Record:

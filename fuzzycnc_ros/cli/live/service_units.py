@@ -74,7 +74,7 @@ class Unit:
 
 @dataclass(frozen=True)
 class Place:
-    """Where services run.
+    """Folders and user of services.
 
     Attributes
     ----------

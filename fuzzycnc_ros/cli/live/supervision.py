@@ -23,7 +23,7 @@ lines; the middleware's own threads need less."""
 
 
 class State(Enum):
-    """What a supervised process does."""
+    """States of a supervised process."""
 
     RUNNING = 'running'
     WAITING = 'waiting'
@@ -32,7 +32,7 @@ class State(Enum):
 
 
 class Lifecycles(Protocol):
-    """What nodes say of themselves; those that are managed tell their lifecycle too."""
+    """Health of nodes by their own report; managed ones report their lifecycle too."""
 
     def begin(self, machine: str, node: str) -> None:
         """Forget what an earlier life of a node has said."""
@@ -44,7 +44,7 @@ class Lifecycles(Protocol):
         """Return the lifecycle state that a node has told last; empty if none."""
 
     def was_active(self, machine: str, node: str) -> bool:
-        """Whether a node has been active in its present life."""
+        """Return True if a node has been active in its present life."""
 
 
 @dataclass
@@ -95,7 +95,7 @@ class Supervised:
 
     @property
     def makes_time(self) -> bool:
-        """Whether the run is over with this process."""
+        """True if the run is over with this process."""
         return any(spec.name in TIME_SOURCES for spec in self.specs)
 
 
@@ -133,7 +133,7 @@ class Supervisor:
 
     @property
     def over(self) -> bool:
-        """Whether all that make time have come to their end, or nothing is left to watch."""
+        """True if all that make time have come to their end, or nothing is left to watch."""
         own = [item for item in self.processes if not item.beside]
         makers = [item for item in own if item.makes_time] or own
         done = (State.ENDED, State.GIVEN_UP)
@@ -147,7 +147,7 @@ class Supervisor:
 
     @property
     def restarts(self) -> dict[str, int]:
-        """How often each process was started anew; those that never were are left out."""
+        """Number of restarts of each process; those without any are left out."""
         return {item.title: item.restarts for item in self.processes if item.restarts}
 
     def poll(self, now: float) -> None:

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What nodes say of themselves: health on `/diagnostics`, lifecycle on `node_configuration`."""
+"""Reports of nodes: health on `/diagnostics`, lifecycle on `node_configuration`."""
 
 import pkgutil
 import time
@@ -31,7 +31,7 @@ _SPIN = 0.1
 
 @dataclass
 class NodeView:
-    """What one node says of itself.
+    """Report of one node.
 
     Attributes
     ----------
@@ -61,11 +61,11 @@ class NodeView:
 
     @property
     def told(self) -> bool:
-        """Whether the node has said anything of itself."""
+        """True if the node has reported anything."""
         return self.heard_at > 0.0 or bool(self.lifecycle)
 
     def silent(self, now: float) -> bool:
-        """Whether nothing has been heard for long."""
+        """Return True if nothing has been received for long."""
         return self.heard_at > 0.0 and now - self.heard_at > SILENT
 
 
@@ -155,7 +155,7 @@ class Monitor:
         return self.view(machine, node).lifecycle
 
     def was_active(self, machine: str, node: str) -> bool:
-        """Whether a node has been active in its present life."""
+        """Return True if a node has been active in its present life."""
         return self.view(machine, node).was_active
 
     def _configuration_handler(self, machine: str) -> Callable[[Any], None]:

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What `fuzzycnc up` shows: a live table on a terminal, lines elsewhere."""
+"""Output of `fuzzycnc up`: a live table on a terminal, lines elsewhere."""
 
 import time
 from collections.abc import Sequence
@@ -100,7 +100,7 @@ class View:
 
     @property
     def _behind(self) -> bool:
-        """Whether the reader has not taken the last table yet: it then waits for a newer one."""
+        """True if the reader has not taken the last table yet: it then waits for a newer one."""
         file = self._console.file
         return isinstance(file, BackgroundOutput) and file.behind
 

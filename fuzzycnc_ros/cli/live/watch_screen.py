@@ -204,7 +204,7 @@ def _alarms(alarms: Sequence[Mapping[str, Any]], width: int, room: int) -> list[
 
 
 class _Still:
-    """What rich asks a console for when it wraps a text."""
+    """Console that rich asks when it wraps a text."""
 
     tab_size = 8
     options = None

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 
 class Judged(NamedTuple):
-    """What became of a bag, gaps in what the model reads; page and probed run if asked for."""
+    """Result of a bag, gaps in what the model reads; page and probed run if asked for."""
 
     evaluation: 'Evaluation'
     bridged: tuple[Bridged, ...]

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a training tells of itself, in words: the candidate, and how many fits it has had."""
+"""Progress of a training in words: the candidate, and the number of its fits."""
 
 STAGES = {'fit': 'fitting', 'select_sensors': 'trying sensor', 'sensor_count': 'sensors:'}
 """Stage of a training, for people."""

@@ -62,7 +62,7 @@ class _Refused:
 
 @dataclass(frozen=True)
 class Sorted(Generic[Result]):
-    """What came of each bag, in the order of the bags."""
+    """Results of all bags, in the order of the bags."""
 
     results: tuple[Result, ...]
     bad: tuple[BadBag, ...]

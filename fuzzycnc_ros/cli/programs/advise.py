@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath
 
 CORNER_CHOICES = ('none', 'feed', 'split')
-"""What is done at corners."""
+"""Treatments of corners."""
 
 SLACK = 3.0
 """LinuxCNC may take that many times the simulated time, and `WAIT` [s] more."""

@@ -39,7 +39,7 @@ _CONSTANT = ('contour_constant.', 'loop.position_gain', 'loop.velocity_bandwidth
 
 @dataclass(frozen=True)
 class SchedulingMachine:
-    """What is known of a machine for the scheduling of feeds.
+    """Machine for the scheduling of feeds.
 
     Parameters
     ----------

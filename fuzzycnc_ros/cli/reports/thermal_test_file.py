@@ -50,7 +50,7 @@ class _ProbeFields(Fields):
 
 
 class _InstrumentFields(Fields):
-    """What measured."""
+    """Instrument of a measurement."""
 
     name: Words = Field('', description='Make, type, number')
     uncertainty: Length | None = Field(None, description='Expanded (k = 2), such as 0.6um')
@@ -63,7 +63,7 @@ class _InstrumentFields(Fields):
 
 
 class ThermalTestFile(Fields):
-    """What no bag knows of a thermal test."""
+    """Facts of a thermal test that no bag has."""
 
     machine: Words = Field('', description='Make, type, number')
     operator: Words = Field('', description='Who did the test')

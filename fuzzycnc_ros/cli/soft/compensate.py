@@ -50,7 +50,7 @@ ADDED = ('offset_x_mm', 'offset_y_mm', 'flag')
 """Columns that are added."""
 
 SPACING = 0.2
-"""What the spacing of points may be off the stitch step, as a share of it."""
+"""Tolerance of the spacing of points, as a share of the stitch step."""
 
 ROWS = 20
 """Lines with refused or limited steps that are printed; the figures have all."""

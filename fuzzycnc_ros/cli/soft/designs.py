@@ -24,7 +24,7 @@ from fuzzycnc_ros.studies.soft.design_files import (
 
 @dataclass(frozen=True)
 class Sewing:
-    """What a machine takes, and what a file does not say.
+    """Sewing settings of a machine that a file does not have.
 
     Parameters
     ----------

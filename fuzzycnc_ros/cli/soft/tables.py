@@ -26,7 +26,7 @@ JUMP = 'jump'
 
 @dataclass(frozen=True)
 class TrackOptions:
-    """What a CSV file does not say of a run, as given on the command line."""
+    """Facts of a run that a CSV file does not have, as given on the command line."""
 
     path_id: str | None
     material: str | None

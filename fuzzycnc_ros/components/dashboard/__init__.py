@@ -1,3 +1,3 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a person sees of a machine, put together from what its nodes say."""
+"""Operator's view of a machine, put together from the reports of its nodes."""

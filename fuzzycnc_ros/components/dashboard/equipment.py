@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is shown of feeds, axes, soft material and probing, where their nodes run."""
+"""Views of feeds, axes, soft material and probing, where their nodes run."""
 
 from math import isfinite
 from typing import Any

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a machine did in the last 24 hours, in memory: ever coarser the longer ago it was."""
+"""History of a machine over the last 24 hours, in memory: ever coarser the longer ago it was."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -103,7 +103,7 @@ class _Ring:
 
     @property
     def full(self) -> bool:
-        """Whether older rows were dropped."""
+        """True if older rows were dropped."""
         return self._held == self._tier.rows
 
     @property
@@ -267,7 +267,7 @@ def _merged(rows: Rows, points: int) -> Rows:
 
 
 SERIES = ('temperatures', 'error', 'compensation', 'axes')
-"""What is kept of a machine."""
+"""Series kept of a machine."""
 
 
 class History:

@@ -114,7 +114,7 @@ _IN_FORCE = frozenset(
 
 @dataclass
 class _Heard:
-    """When a topic was heard.
+    """Times at which a topic was received.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ class _Heard:
         self.at = now
 
     def late(self, now: float) -> bool:
-        """Whether nothing came for much longer than usual."""
+        """Return True if nothing came for much longer than usual."""
         usual = median(self.gaps) if self.gaps else 0.0
         return now - self.at > max(SILENT, LATE_FACTOR * usual)
 
@@ -158,7 +158,7 @@ class MachineView:
         self._stamp: int | None = None
         self._sequence = 0
         self.news = 0
-        """How many records of `DATA` have come."""
+        """Number of records of `DATA` so far."""
         self._model: dict[str, Any] | None = None
         self._model_clusters: list[dict[str, Any]] = []
         self._model_hash = ''
@@ -251,7 +251,7 @@ class MachineView:
 
     @property
     def complete(self) -> bool:
-        """Whether all nodes that live have reported, and there are data."""
+        """True if all nodes that live have reported, and there are data."""
         living = [report for report in self._told.values() if not report.ended]
         told = all(report.heard_at is not None for report in living)
         return bool(living) and told and self._stamp is not None

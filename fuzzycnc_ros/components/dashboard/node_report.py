@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a node says of itself, and what of it an operator has to know."""
+"""Report of a node, and the part of it that concerns an operator."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -53,7 +53,7 @@ def split_advice(text: str) -> tuple[str, str]:
 
 @dataclass
 class NodeReport:
-    """What a node says of itself.
+    """Report of a node.
 
     Attributes
     ----------
@@ -77,11 +77,11 @@ class NodeReport:
 
     @property
     def told(self) -> bool:
-        """Whether it has said anything: others, such as an operator's, only pass by."""
+        """True if it has reported anything: others, such as an operator's, only pass by."""
         return self.heard_at is not None or self.configuration is not None
 
     def silent(self, now: float) -> bool:
-        """Whether it reports no more."""
+        """Return True if it reports no more."""
         return self.heard_at is not None and now - self.heard_at > NODE_SILENT
 
     @property

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where a slow quantity is going: its rate over the last minutes, and when it will be stable."""
+"""Trend of a slow quantity: its rate over the last minutes, and the time until it is stable."""
 
 from collections import deque
 from math import isfinite
@@ -23,7 +23,7 @@ _POINTS = 60
 _FILLED = 0.7
 """Part of a window that must hold samples."""
 _DECAYS = (0.02, 0.85)
-"""How far the change of one third of a window may be that of the third before: faster is over,
+"""Ratio of the change over one third of a window to that of the third before: faster is over,
 slower is no curve yet but a straight line, whose end nobody knows."""
 _MISFIT = 0.12
 """Largest root mean square beside the curve, as a part of the change in the window."""
@@ -76,7 +76,7 @@ class Trend:
 
     @property
     def arrow(self) -> str:
-        """Where it goes: `up`, `down` or `steady`."""
+        """Direction: `up`, `down` or `steady`."""
         rate = self.rate
         if rate is None or abs(rate) < STEADY:
             return 'steady'

@@ -67,26 +67,26 @@ class Axes(ABC):
     @property
     @abstractmethod
     def reference(self) -> Floats:
-        """Where the axes are told to be, shape (axes,) [m]; NaN where nothing tells."""
+        """Commanded positions of the axes, shape (axes,) [m]; NaN where unknown."""
 
     @property
     @abstractmethod
     def busy(self) -> bool:
-        """Whether something is to be followed to its end, or the axes do not rest yet."""
+        """True if a motion is to be followed to its end, or the axes do not rest yet."""
 
     @property
     def following(self) -> bool:
-        """Whether what the axes are to do goes on; without it, they may never arrive."""
+        """True if the motion of the axes goes on; without it, they may never arrive."""
         return self.busy
 
     @property
     @abstractmethod
     def moving(self) -> bool:
-        """Whether the axes move or are held by their control."""
+        """True if the axes move or are held by their control."""
 
     @property
     def tripped(self) -> bool:
-        """Whether drives keep at zero until a new owner commands them."""
+        """True if drives keep at zero until a new owner commands them."""
         return False
 
     @property
@@ -111,7 +111,7 @@ class Axes(ABC):
 
     @abstractmethod
     def finished(self, path_id: str) -> bool:
-        """Whether that path was the last to be followed, to its end, and the axes rest."""
+        """Return True if that path was the last to be followed, to its end, and the axes rest."""
 
     @abstractmethod
     def next_time(self, now: int) -> int | None:
@@ -250,17 +250,17 @@ class ContouringMotion(Axes):
 
     @property
     def reference(self) -> Floats:
-        """Where the axes are told to be, shape (3,) [m]."""
+        """Commanded positions of the axes, shape (3,) [m]."""
         return self._input.sample.position
 
     @property
     def busy(self) -> bool:
-        """Whether a trajectory is to be followed or the axes do not rest yet."""
+        """True if a trajectory is to be followed or the axes do not rest yet."""
         return self._moved is not None or self._input.next_time is not None
 
     @property
     def moving(self) -> bool:
-        """Whether the axes move, from the first sample of a trajectory until they rest again."""
+        """True while the axes move, from the first sample until they rest again."""
         return self._moved is not None
 
     @property
@@ -269,7 +269,7 @@ class ContouringMotion(Axes):
         return np.nan if self._begins else super().arc_length
 
     def finished(self, path_id: str) -> bool:
-        """Whether that path was the last to be followed, to its end, and the axes rest."""
+        """Return True if that path was the last to be followed, to its end, and the axes rest."""
         return not self.busy and self._finished == path_id != ''
 
     def next_time(self, now: int) -> int | None:
@@ -360,7 +360,7 @@ class ContouringMotion(Axes):
         return Health('axes', Level.WARN if poor else Level.OK, text, values)
 
     def _at_rest(self, stamp: int) -> bool:
-        """Whether all that was commanded is over and the axes have arrived."""
+        """Return True if all that was commanded is over and the axes have arrived."""
         run_out = nanoseconds(self._config.run_out)
         if self._input.next_time is not None or stamp < self._commanded + run_out:
             return False

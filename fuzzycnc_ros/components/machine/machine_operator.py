@@ -38,7 +38,7 @@ _SYNTAX = 'SECONDS:path:butterfly, SECONDS:program or SECONDS:move:X:-0.05'
 
 @dataclass(frozen=True)
 class Job:
-    """What is to be done, and when.
+    """Task of a duty, and its time.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Job:
 
     @property
     def name(self) -> str:
-        """What a path of it is called."""
+        """Name of a path of it."""
         return self.what or self.kind
 
 
@@ -180,7 +180,7 @@ class Operator:
 
     @property
     def over(self) -> bool:
-        """Whether everything is done or the rest was given up."""
+        """True if everything is done or the rest was given up."""
         done = self._number + self.timed >= len(self._tasks) and not self.begun
         return bool(self.failure) or done
 
@@ -192,17 +192,17 @@ class Operator:
 
     @property
     def waiting(self) -> bool:
-        """Whether the axes are needed though no trajectory is being followed."""
+        """True if the axes are needed though no trajectory is being followed."""
         return self.begun if self.timed else bool(self.path_id) and not self.failure
 
     @property
     def begun(self) -> bool:
-        """Whether a task with a time is under way, from unclamping the axes to clamping them."""
+        """True while a timed task is under way, from unclamping the axes to clamping them."""
         return self._begun is not None
 
     @property
     def due(self) -> int | None:
-        """When the next task begins, since the beginning of the duty [ns]; None if none does."""
+        """Begin of the next task, since the beginning of the duty [ns]; None if there is none."""
         following = self._number + 1
         if not self.timed or self.begun or self.failure or following >= len(self._tasks):
             return None
@@ -210,7 +210,7 @@ class Operator:
 
     @property
     def loaded(self) -> bool:
-        """Whether the task under way was loaded."""
+        """True if the task under way was loaded."""
         return self._loaded
 
     @property
@@ -269,7 +269,7 @@ class Operator:
             )
 
     def settled(self, stamp: int, *, done: bool) -> bool:
-        """Whether the axes may be clamped: the task was done a while ago, or is given up."""
+        """Return True if the axes may be clamped: the task is over or given up."""
         if done and self._done is None:
             self._done = stamp
         ended = self._done is not None and stamp >= self._done + nanoseconds(SETTLE)

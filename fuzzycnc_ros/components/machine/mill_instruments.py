@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.components.machine.simulated_machine_config import SimulatedMachineConfig
 
 RUN_SEED_STEP = 1000
-"""What the seed goes up by from one duty to the next."""
+"""Increment of the seed from one duty to the next."""
 
 
 class MillInstruments:
@@ -213,7 +213,7 @@ class Warmth(MillInstruments):
 
     @property
     def working(self) -> bool:
-        """Whether the spindle turns or axes are moved by a duty."""
+        """True while the spindle turns or axes are moved by a duty."""
         return bool(self.spindle_speed or (self._screws is not None and self._screws.moving))
 
     def command(self, command: Compensation) -> None:

@@ -40,7 +40,7 @@ _ARRIVED = 1e-5
 """Distance from the end of a trajectory within which an axis has arrived [m]."""
 
 _END_ROOM = 0.1
-"""How far beyond the travel of an axis of a machine file its limit switches are, over it [-]."""
+"""Distance of the limit switches beyond the travel of an axis of a machine file, over it [-]."""
 
 
 class ServoMoves:
@@ -83,7 +83,7 @@ class ServoMoves:
 
     @property
     def over(self) -> bool:
-        """Whether the time of the last one is over."""
+        """True if the time of the last one is over."""
         return not (self._move or self._waiting)
 
     def add(self, text: str) -> None:
@@ -248,7 +248,7 @@ class ServoDrives:
 
 
 class _Stopping:
-    """Where an axis comes to rest if its drive goes to zero now: limit switches know no sensor."""
+    """Stopping place of an axis whose drive goes to zero now: limit switches know no sensor."""
 
     def __init__(self, name: str, plant: SimulatedAxis, travel: tuple[float, float]) -> None:
         model = plant.config.linear()
@@ -335,29 +335,29 @@ class ServoMotion(Axes):
 
     @property
     def reference(self) -> Floats:
-        """Where the axes are told to be, shape (axes,) [m]; NaN during a move."""
+        """Commanded positions of the axes, shape (axes,) [m]; NaN during a move."""
         if not self._moves.over:
             return np.full(len(self.axes), np.nan)
         return np.array(self._place)
 
     @property
     def busy(self) -> bool:
-        """Whether moves are being made or a trajectory is to be followed to its end."""
+        """True if moves are being made or a trajectory is to be followed to its end."""
         return self.following or not self._arrived()
 
     @property
     def following(self) -> bool:
-        """Whether moves are being made or a trajectory goes on."""
+        """True if moves are being made or a trajectory goes on."""
         return not self._moves.over or self._lead.following
 
     @property
     def moving(self) -> bool:
-        """Whether the axes are under control."""
+        """True if the axes are under control."""
         return not self._moves.over or self._on()
 
     @property
     def tripped(self) -> bool:
-        """Whether the drives keep at zero until a new owner commands them."""
+        """True if the drives keep at zero until a new owner commands them."""
         return bool(self._drives.tripped)
 
     @property
@@ -371,7 +371,7 @@ class ServoMotion(Axes):
         return self._moves.failure
 
     def finished(self, path_id: str) -> bool:
-        """Whether that path was the last to be followed, to its end, and the axes rest."""
+        """Return True if that path was the last to be followed, to its end, and the axes rest."""
         done = self.guard.status.name == TrajectoryStatus.FINISHED.name
         return not self.busy and done and self.guard.path_id == path_id != ''
 
@@ -503,7 +503,7 @@ class ServoMotion(Axes):
         return Health('axes', Level.WARN if poor else Level.OK, poor or 'driven', values)
 
     def _arrived(self) -> bool:
-        """Whether the axes read where a trajectory has left them."""
+        """Return True if the axes read where a trajectory has left them."""
         if not self.guard.path_id:
             return True
         return all(

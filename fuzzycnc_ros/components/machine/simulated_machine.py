@@ -149,7 +149,7 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
 
     @property
     def ticks_done(self) -> int:
-        """How many of `total_ticks` are over."""
+        """Number of `total_ticks` that are over."""
         done = sum(self._duty_ticks(name) for name in self._config.duties[: self._run])
         if not self._duties_done:
             done += self._ticks
@@ -282,7 +282,7 @@ class SimulatedMachine(TickingComponent[SimulatedMachineConfig]):
         return max(self._start + due, soon)
 
     def _axes_needed(self) -> bool:
-        """Whether driven axes are to be controlled."""
+        """Return True if driven axes are to be controlled."""
         if self._operator.timed:
             return self._operator.begun
         return self._has_paths and not self._operator.over

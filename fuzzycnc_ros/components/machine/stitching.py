@@ -182,7 +182,7 @@ class _Run:
 
     @property
     def progress(self) -> str:
-        """How far it is, in words."""
+        """Progress in words."""
         return f'{self._path_id}: {len(self._stamps)} of {len(self._points)} stitches'
 
     def move(self, before: tuple[int, Point], now: tuple[int, Point]) -> None:

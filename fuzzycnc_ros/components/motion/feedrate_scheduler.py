@@ -57,7 +57,7 @@ class Waiting:
     path: ToolPath
     segments: ToolPathSegments
     fresh: bool
-    """Whether it was made just now, so that nobody can have run it."""
+    """True if it was made just now, so that it cannot have been run yet."""
 
 
 class FeedrateScheduler(MotionSender[FeedrateSchedulerConfig, PathRun]):
@@ -76,7 +76,7 @@ class FeedrateScheduler(MotionSender[FeedrateSchedulerConfig, PathRun]):
     def __init__(self, config: FeedrateSchedulerConfig | None = None) -> None:
         super().__init__(config)
         self.scheduled: ScheduledProgram | None = None
-        """What became of the newest program that was scheduled."""
+        """Result of the newest program that was scheduled."""
         self._kept: tuple[ToolPath, bool] | None = None  # newest that came while inactive
         self._waiting: Waiting | None = None
         self._wake_at: int | None = None
@@ -85,7 +85,7 @@ class FeedrateScheduler(MotionSender[FeedrateSchedulerConfig, PathRun]):
 
     @property
     def next_deadline(self) -> int | None:
-        """When the next part is to be sent, a path may start, or its end should be known."""
+        """Time at which the next part is due, a path may start, or its end should be known."""
         run = self._run
         if run is None:
             return self._wake_at
@@ -190,7 +190,7 @@ class FeedrateScheduler(MotionSender[FeedrateSchedulerConfig, PathRun]):
         return Answer(True, text, emissions)
 
     def _is_fresh(self, path: ToolPath) -> bool:
-        """Whether a path was made no earlier than what the machine has said of itself.
+        """Return True if a path was made no earlier than the newest state of the machine.
 
         A latched path may be old: it outlives the node that ran it.
         """

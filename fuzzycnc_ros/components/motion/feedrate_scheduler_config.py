@@ -298,7 +298,7 @@ def make_limits(config: FeedrateSchedulerConfig) -> MotionLimits:
 
 
 def heeds_tolerance(config: FeedrateSchedulerConfig) -> bool:
-    """Whether the method knows a contour tolerance."""
+    """Return True if the method takes a contour tolerance."""
     return config.method not in ('fuzzy', 'constant', 'chord_error')
 
 

@@ -19,7 +19,7 @@ _FIELDS = ('position', 'velocity', 'acceleration')
 
 
 class GoalCode(IntEnum):
-    """How a goal ended; the numbers are those of `control_msgs/action/FollowJointTrajectory`."""
+    """Results of a goal; the numbers are those of `control_msgs/action/FollowJointTrajectory`."""
 
     SUCCESSFUL = 0
     INVALID_GOAL = -1

@@ -17,7 +17,7 @@ from fuzzycnc_ros.runtime.records import SECOND, Floats, nanoseconds
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """Where the joints of a goal are to be [m], how fast [m/s], and which point comes next."""
+    """Reference of a goal's joints [m], their velocities [m/s], and the next point."""
 
     position: Floats
     velocity: Floats
@@ -25,7 +25,7 @@ class Wanted:
 
 
 class JointPath:
-    """What a goal means for axes that rest at a place.
+    """Path of a goal for axes that rest at a place.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ class JointRun(PartsRun):
         self._acceleration_max = config.acceleration_max
         self._tail: Sampled | None = None
         self.stopped = False
-        """Whether the last part ends the way before its end."""
+        """True if the last part ends the way before its end."""
 
     @property
     def goal(self) -> Goal:
@@ -178,5 +178,5 @@ class JointRun(PartsRun):
 
     @property
     def length(self) -> float:
-        """How long the goal takes [s]."""
+        """Duration of the goal [s]."""
         return (len(self.path.sampled) - 1) * self._period / SECOND

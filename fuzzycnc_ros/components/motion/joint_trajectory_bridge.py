@@ -49,7 +49,7 @@ SWAYING = 1e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointStates(Record):
-    """Where joints are [m] and how fast [m/s], as ROS's viewers know it."""
+    """Positions [m] and velocities of joints [m/s], as ROS's viewers read them."""
 
     TYPE: ClassVar[str] = 'sensor_msgs/msg/JointState'
 
@@ -61,18 +61,18 @@ class JointStates(Record):
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a goal ended: its name, the code and the text for its sender."""
+    """Result of a goal: its name, the code and the text for its sender."""
 
     goal: str
     code: GoalCode
     text: str
     cancelled: bool = False
-    """Whether its sender wanted it to end."""
+    """True if its sender wanted it to end."""
 
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """Where the joints of a goal should be and are [m, m/s] at machine time `stamp` [ns]."""
+    """Desired and actual positions of the joints of a goal [m, m/s] at time `stamp` [ns]."""
 
     goal: str
     stamp: int
@@ -107,7 +107,7 @@ class JointTrajectoryBridge(MotionSender[JointTrajectoryBridgeConfig, JointRun])
 
     @property
     def next_deadline(self) -> int | None:
-        """When the next part is to be sent, or something is to be looked at or told again."""
+        """Time at which the next part is to be sent, or something is to be checked or repeated."""
         due = []
         if self._joints_at is not None and self._axes_known(self._joints_at):
             due.append(self._joints_at + nanoseconds(self._config.rest_period))
@@ -129,7 +129,7 @@ class JointTrajectoryBridge(MotionSender[JointTrajectoryBridgeConfig, JointRun])
 
     @property
     def progress(self) -> Progress | None:
-        """How far the goal is that is being followed; None if none is."""
+        """Progress of the goal that is being followed; None if there is none."""
         run, state = self._run, self.last(self.AXES)
         if run is None or state is None:
             return None
@@ -434,7 +434,7 @@ class JointTrajectoryBridge(MotionSender[JointTrajectoryBridgeConfig, JointRun])
         return found[0], found[1]
 
     def _axes_known(self, stamp: int) -> bool:
-        """Whether what the machine last said of its axes still holds."""
+        """Return True if the newest state of the machine's axes still holds."""
         return self.newest(self.AXES, stamp) is not None
 
     def _joint_states(self, state: AxisState, stamp: int) -> Iterator[Emission]:

@@ -139,7 +139,7 @@ class JointTrajectoryBridgeConfig(Config):
 
     @property
     def limits(self) -> TrajectoryInputConfig:
-        """What a whole trajectory has to keep, for the guard that machines have too."""
+        """Limits of a whole trajectory, for the guard that machines have too."""
         return TrajectoryInputConfig(
             period=self.period,
             velocity_max=self.velocity_max,

@@ -14,7 +14,7 @@ from fuzzycnc_ros.runtime.records import Names, Trajectory, nanoseconds
 
 @dataclass(frozen=True)
 class PathHeader:
-    """What all parts of a path have in common."""
+    """Common part of all parts of a path."""
 
     path_id: str
     epoch: int
@@ -22,7 +22,7 @@ class PathHeader:
 
 
 class PartTimes(Protocol):
-    """What a configuration says of how much is sent how early, all in seconds."""
+    """Configured durations of parts and their lead, all in seconds."""
 
     @property
     def period(self) -> float:
@@ -34,7 +34,7 @@ class PartTimes(Protocol):
 
     @property
     def lead(self) -> float:
-        """How long before its first sample a part leaves."""
+        """Lead of a part: the time between its sending and its first sample."""
 
 
 class PartsRun:
@@ -60,7 +60,7 @@ class PartsRun:
         self.part = 0
         """Number of parts sent so far."""
         self.complete = False
-        """Whether the last part has been sent."""
+        """True if the last part has been sent."""
         self.at_rest = start
         """Machine time at which the axes rest if nothing more is sent [ns]."""
 

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What components share that move axes: one motion at a time, and whose the machine follows."""
+"""Base of components that move axes: one motion at a time, and its owner."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ RunT = TypeVar('RunT', bound=PartsRun)
 GRACE = 2.0
 """Time after the end of a motion in which the machine should say that it has finished [s]."""
 BAD_ENDS = (TrajectoryStatus.STARVED, TrajectoryStatus.REFUSED)
-"""What the machine says of motion that did not come to its own end."""
+"""States of the machine after motion that did not come to its own end."""
 _MOVING = (MachineMode.ON, MachineMode.RUNNING)
 
 

@@ -149,7 +149,7 @@ class ProbeCycle(Component[ProbeCycleConfig]):
         super().__init__(config)
         self._plan: ProbePlan | None = None
         self._touches: list[float] | None = None
-        """Where the machine was at each touch of the cycle under way, its offset included [m]."""
+        """Positions at each touch of the cycle under way, the machine's offset included [m]."""
         self._begun: Stamp = 0
         self._touched: Stamp = 0
         self._ended: Stamp | None = None
@@ -229,7 +229,7 @@ class ProbeCycle(Component[ProbeCycleConfig]):
 
     @property
     def next_deadline(self) -> int | None:
-        """When to tell what is due, or that a cycle was broken off."""
+        """Time at which a due probe or the end of a broken-off cycle is to be reported."""
         times = [self._tell_at]
         if self._touches is not None:
             times.append(self._begun + nanoseconds(self._config.cycle_time_max))

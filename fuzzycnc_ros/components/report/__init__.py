@@ -1,3 +1,3 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What programs that know nothing of ROS are told of a machine."""
+"""Reports on a machine for programs that know nothing of ROS."""

@@ -25,7 +25,7 @@ KINDS = {
     'error': ('DISPLACEMENT', 'MILLIMETER', 1e-3),
     SPINDLE: ('ROTARY_VELOCITY', 'REVOLUTION/MINUTE', 1.0),
 }
-"""What is told, as type and units of MTConnect, and the factor to them; it has no micrometres."""
+"""Type and units in MTConnect of each reported quantity, and the factor; it has no micrometres."""
 LEVELS = {'warning': 'WARNING', 'error': 'FAULT'}
 TEXT_MAX = 300
 """Longest text of an alarm [characters]."""

@@ -64,7 +64,7 @@ class ServoAxis:
 
     @property
     def moving(self) -> bool:
-        """Whether the axis is on the way to a position."""
+        """True while the axis is on the way to a position."""
         return self._next < len(self._rows)
 
     def release(self) -> None:

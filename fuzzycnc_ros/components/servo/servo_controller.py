@@ -101,7 +101,7 @@ class ServoController(Component[ServoControllerConfig]):
 
     @property
     def next_deadline(self) -> int | None:
-        """When the next axis state is overdue."""
+        """Time at which the next axis state is overdue."""
         if self._at is None or not self._active or self._fault:
             return None
         return self._at + self._period + self._tolerance

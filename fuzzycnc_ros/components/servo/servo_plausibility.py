@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether an axis moves as its duty makes it, and its readings are as smooth as its sensor.
+"""Plausibility of an axis' motion against its duty, and of its readings against its sensor.
 
 The controllers judge reading by reading (`core.servo.feedback_watch`).  Here the motion over some
 periods is held against what the nominal model allows for the duties that were commanded, whatever
@@ -31,7 +31,7 @@ _LATE = 3
 
 @dataclass(frozen=True, kw_only=True)
 class MotionDoubt:
-    """What is believed possible of an axis beside its nominal model.
+    """Tolerances for an axis beside its nominal model.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ class ServoLead:
 
     @property
     def following(self) -> bool:
-        """Whether a trajectory is being followed, or is to begin."""
+        """True while a trajectory is being followed, or is to begin."""
         return self._input.next_time is not None
 
     def command(self, part: Trajectory, places: Sequence[float], now: int) -> str:

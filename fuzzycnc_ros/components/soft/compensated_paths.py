@@ -22,7 +22,7 @@ from fuzzycnc_ros.runtime.records import CompensatedPath, Floats, StitchPattern,
 PLANE = ('X', 'Y')
 """Axes of a pattern."""
 _PER_LENGTH = 1e-3 / REFERENCE_LENGTH
-"""What turns the model's mm per 50 mm into a pure number."""
+"""Factor from the model's mm per 50 mm to a pure number."""
 
 
 @dataclass(frozen=True)

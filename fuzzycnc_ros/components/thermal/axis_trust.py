@@ -23,7 +23,7 @@ FOUND_MAX = 100
 
 
 class AxisTrust:
-    """How much of each axis' error is followed, in [0, 1].
+    """Share of each axis' error that is followed, in [0, 1].
 
     Parameters
     ----------

@@ -216,7 +216,7 @@ class Compensator(Component[CompensatorConfig]):
 
     @property
     def next_deadline(self) -> int | None:
-        """When the offsets must move, be renewed or be held without an input."""
+        """Time at which the offsets must move, be renewed or be held without an input."""
         return self._wake_at
 
     def on_thermal_error(self, error: ThermalError) -> Iterator[Emission]:
@@ -361,7 +361,7 @@ class Compensator(Component[CompensatorConfig]):
 
     @property
     def at_rest(self) -> bool:
-        """Whether all offsets are zero and nothing is being followed."""
+        """True if all offsets are zero and nothing is being followed."""
         return not self._active and not np.any(self._ends)
 
     def silence(self, name: str, last: Record) -> str:
@@ -485,7 +485,7 @@ class Compensator(Component[CompensatorConfig]):
         return np.asarray(np.clip(self._travel.ends(lines), -limit, limit))
 
     def _agrees(self, applied: CompensationApplied) -> bool:
-        """Whether the offsets in force are those that were told last."""
+        """Return True if the offsets in force are those that were published last."""
         apart = np.abs(self._in_force(applied) - self._ends)
         return bool((apart <= np.tile(np.where(self._travel.sloping, ROUNDED, 0.0), 2)).all())
 

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the predictor has heard: samples for a new model, probed errors, and the spindle speed.
+"""Inputs received by the predictor: samples for a new model, probed errors, spindle speed.
 
 A probe counts as what the bare machine would have shown: where compensation was active, what the
 machine applied at that moment is taken off again, and where that is not known to within the
@@ -87,7 +87,7 @@ def speed_told(topic: str, message: Any) -> float:
 
 
 class SpeedSources:
-    """What the sources have told so far, in the order of their stamps."""
+    """Newest spindle speed of each source, in the order of their stamps."""
 
     def __init__(self) -> None:
         self._told: dict[str, Told] = {}
@@ -447,7 +447,7 @@ class PredictorStream:
         self.probes = ProbeSource(config) if config.learn else None
         self._heard = KeptSamples[Heard](lambda heard: heard.sample)
         self._former: ThermalReference | None = None
-        """What the checkpoint of before a step of the clock is meant against."""
+        """Reference of the checkpoint of before a step of the clock."""
 
     def reconfigure(self, config: ThermalPredictorConfig) -> None:
         """Take live parameters."""
@@ -559,7 +559,7 @@ class PredictorStream:
 
 
 def _same(one: ThermalReference, other: ThermalReference) -> bool:
-    """Whether two references are one, told with stamps of two series."""
+    """Return True if two references are one, with stamps of two series."""
     return one.sensor == other.sensor and np.array_equal(
         one.temperature, other.temperature, equal_nan=True
     )

@@ -40,7 +40,7 @@ the machine is not what the probes before have taught."""
 
 
 FORESEEN_MAX = 86400.0
-"""How far ahead it is told when a probe will be due [s]."""
+"""Longest time ahead for which a due probe is reported [s]."""
 
 KEPT = 8
 """Probes before which can be gone back."""
@@ -98,16 +98,16 @@ class ProbeLearning:
         self._change = np.full(channels, np.nan)
         """Change of the error by the newest probe, shape (c,) [m]."""
         self._narrowest: tuple[Floats, Floats] | None = None
-        """When each band was narrowest since the newest probe [ns], and its half width [m]."""
+        """Time of the narrowest band since the newest probe [ns], and its half width [m]."""
         self.doubted: NDArray[np.int64] = np.zeros(channels, dtype=np.int64)
         """Number of probes of each channel that were not believed, shape (c,)."""
         self._before: deque[_Known] = deque(maxlen=KEPT)
         self.news = False
-        """Whether something was learnt that has not been told yet."""
+        """True if something was learnt that has not been published yet."""
 
     @property
     def active(self) -> bool:
-        """Whether probes have any effect."""
+        """True if probes have any effect."""
         return self._learner is not None
 
     def begin(self, since: Stamp, memory: ThermalPosterior | None) -> None:

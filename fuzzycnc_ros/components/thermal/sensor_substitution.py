@@ -27,7 +27,7 @@ RISE_MAX = 1000.0
 """Rise that no part of a machine has [K]: a model would carry it along for hours."""
 
 MISSED_MAX = 0.5
-"""What an estimate may miss in training, rms [K], to stand in for a sensor without a mate in its
+"""Largest RMS error of an estimate in training [K] to replace a sensor without a mate in its
 own cluster: no more than the watch tolerates."""
 
 

@@ -74,7 +74,7 @@ def read_blocks(state: Floats, size: int) -> tuple[Floats, dict[str, Floats]]:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What a model, or a fade of two, says of one sample, probes considered; arrays of shape (c,).
+    """Prediction of a model, or a fade of two, at one sample, with probes; arrays of shape (c,).
 
     `outside` says why the sample is out of domain; it is empty if it is not.
     """
@@ -127,9 +127,9 @@ class ModelHistory:
         """Drop the history."""
         self.prediction: Prediction | None = None
         self.distance = float('nan')
-        """How far the newest sample is from the training, 1 at the border of the domain [-]."""
+        """Distance of the newest sample from the training, 1 at the border of the domain [-]."""
         self.remainder = Fade(np.zeros(len(self.model.channel)))
-        """What is left of a model from which this one has taken over [m]; fades to zero."""
+        """Remainder of a model from which this one has taken over [m]; fades to zero."""
         self._recursion = self.model.start()
         self._stepped_at: Stamp | None = None
         self._predicted_at: Stamp | None = None
@@ -386,7 +386,7 @@ class ModelHistory:
         return memory if memory is not None and self._owns(memory) else None
 
     def _owns(self, kept: PredictorState | ThermalPosterior) -> bool:
-        """Whether a checkpoint, or what was learnt, is of this model."""
+        """Return True if a checkpoint, or what was learnt, is of this model."""
         return kept.model_hash == self.hash and kept.input == self.model.inputs
 
     def _parts(self, checkpoint: PredictorState) -> tuple[Floats, Floats, dict[str, Floats]]:

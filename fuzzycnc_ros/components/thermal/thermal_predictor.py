@@ -232,7 +232,7 @@ class ModelSwap:
 
 
 def _pauses(first: ModelHistory, second: ModelHistory) -> bool:
-    """Whether a model that predicts nothing now is still the one to wait for."""
+    """Return True if a model that predicts nothing now is still the one to wait for."""
     return second.prediction is None and first.reason is Reason.SENSOR_LOST
 
 
@@ -280,7 +280,7 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
         self._swap = ModelSwap()
         self._stream = PredictorStream(self._config)
         self._named = False
-        """Whether a model was asked for; else all of the error is learnt."""
+        """True if a model was asked for; else all of the error is learnt."""
 
     @property
     def model(self) -> ThermalModel | None:

@@ -70,7 +70,7 @@ class BelievedDeviation:
 
     @property
     def corrects(self) -> bool:
-        """Whether there is any."""
+        """True if any deviation differs from zero."""
         return bool(self.deviation.any())
 
 

@@ -20,7 +20,7 @@ from fuzzycnc_ros.core.deformation.stitch_path import ARC, LINE, SheetMaterial, 
 
 
 class StepFlag(IntFlag):
-    """What happened to a step; 0 if it was compensated in full."""
+    """Reasons why a step was not compensated in full; 0 if it was."""
 
     OUTSIDE_DOMAIN = 1
     """The gate refused its process values."""
@@ -119,7 +119,7 @@ _MM = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class CompensationConfig(Config):
-    """How outputs of a model become offsets of a path."""
+    """Settings that turn outputs of a model into offsets of a path."""
 
     accumulate: str = param(
         'leaky', '-', 'How offsets add up along the path', choices=('leaky', 'ramp')
@@ -144,7 +144,7 @@ class CompensationConfig(Config):
 
 
 class DomainGate(Protocol):
-    """What tells process values that a model knows from others; rows as `feature_rows` gives."""
+    """Domain of a model: tells known process values from others; rows as `feature_rows` gives."""
 
     def accepts(self, x: Array) -> NDArray[np.bool_]:
         """Return for each row whether the model may be asked, shape (steps,)."""

@@ -212,7 +212,7 @@ def _sigmoid(values: Array) -> Array:
 
 
 _TOLERANCE = 1e-6
-"""What the box is widened by [deg, mm]: directions of a path are rounded."""
+"""Margin added to the box [deg, mm]: directions of a path are rounded."""
 
 SUPPORT_QUANTILE = 0.01
 """Share of the training samples whose support lies below the least that is let pass."""
@@ -257,12 +257,12 @@ class Gate:
 
     @property
     def fold_from(self) -> float:
-        """Where the half turn begins that has the directions of the samples amid [deg]."""
+        """Start of the half turn that has the directions of the samples amid [deg]."""
         return 0.5 * float(self.low[0] + self.high[0] - HALF_TURN)
 
     @property
     def all_round(self) -> bool:
-        """Whether the samples cover all directions."""
+        """True if the samples cover all directions."""
         return bool(self.high[0] - self.low[0] >= HALF_TURN - COVERED_GAP)
 
     def inside(self, x: Array) -> NDArray[np.bool_]:
@@ -481,7 +481,7 @@ class DeformationModel:
 
     @cached_property
     def corrects(self) -> bool:
-        """Whether it compensates anything: 'none' may be what did best on held-out samples."""
+        """True if it compensates anything: 'none' may be what did best on held-out samples."""
         return bool(self.network.outer.any() or self.network.offset.any())
 
     @cached_property
@@ -510,7 +510,7 @@ def _chunks(count: int) -> Iterator[slice]:
 
 
 _SCHEMA = 'fuzzycnc/deformation-model'
-"""What a model file says it is."""
+"""Schema name at the top of a model file."""
 
 _SCHEMA_VERSIONS = (1, 2)
 """Versions of the layout; 2 has rules whose fitness is not normalised, those of a process."""

@@ -14,7 +14,7 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.document import Node, parse_document
 
 FORMAT = 'fuzzycnc stitch offsets'
-"""What the file says it is."""
+"""Format name at the top of the file."""
 
 VERSION = 1
 """Version of the layout."""

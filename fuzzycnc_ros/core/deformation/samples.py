@@ -31,7 +31,7 @@ _SETTLED = 4  # least steps of a side that its two figures can be told from
 
 @dataclass(frozen=True, eq=False)
 class Relaxation:
-    """What a recorded run tells of the sheet; lengths go into `CompensationConfig`.
+    """Drift of the sheet identified from a recorded run; lengths go into `CompensationConfig`.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ _SAME_POINT = 1e-6
 """Offsets below that are none [m]."""
 
 RESIDUAL_MAX = 0.1
-"""What fading drift may leave of the drift, root mean squares, to be believed [-]."""
+"""Largest remainder of the drift, RMS, with which a fading drift is believed [-]."""
 
 _STEPS_MIN = 4  # of a side that fading can be told from
 _MM = 1e-3

@@ -24,7 +24,7 @@ from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial, StitchPath
 from fuzzycnc_ros.core.document import parse_document
 
 SoftModel = DeformationModel | StitchOffsets
-"""What compensates a path: a model, or the learnt offsets of one track."""
+"""Compensator of a path: a model, or the learnt offsets of one track."""
 
 SOFT_FILE_MAX = OFFSETS_SIZE_MAX
 """Largest document that is read [characters]."""

@@ -27,7 +27,7 @@ _SAME = 1e-9
 
 
 class Move(IntEnum):
-    """What a command of a design does."""
+    """Commands of a stitch design."""
 
     STITCH = 0
     """The needle goes down at the point."""
@@ -87,7 +87,7 @@ class Design:
 
 @dataclass(frozen=True)
 class StitchLengths:
-    """What a file and a machine take of a stitch.
+    """Stitch lengths that a file format and a machine accept.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ class PlacedDesign:
 
     @property
     def split(self) -> int:
-        """How many stitches were split."""
+        """Number of stitches that were split."""
         return len(self.added)
 
     def runs(self) -> list[Array]:

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is to be stitched: the sheet, primitives of a pattern, and their stitches."""
+"""Input of stitching: the sheet, primitives of a pattern, and their stitches."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ class FuzzyPartition(ClusterEstimator, ABC):
     cluster_centers_: Array
 
     _DISTINCT: ClassVar[bool]
-    """Whether equal samples count once for the largest number of clusters."""
+    """True if equal samples count once for the largest number of clusters."""
 
     def predict_membership(self, X: ArrayLike) -> Array:  # noqa: N803
         """Return the memberships of new samples in the learnt clusters.
@@ -427,7 +427,7 @@ class GustafsonKessel(FuzzyPartition):
 
 
 class ClassValues(NamedTuple):
-    """What the clusters say of output values [deng2014].
+    """Output values of the clusters [deng2014].
 
     Parameters
     ----------

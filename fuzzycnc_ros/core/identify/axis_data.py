@@ -27,7 +27,7 @@ from fuzzycnc_ros.core.machine.knowledge import AxisKnowledge, remainder_text
 from fuzzycnc_ros.core.machine.machine_data import AxisData
 
 _ROOM = 1.1
-"""What limits are above what was recorded [-]."""
+"""Room of the limits above the largest recorded values [-]."""
 
 _UNFIT = 0.7
 """Share of the acceleration that no model explains from which it is not fit for control [-]."""
@@ -58,7 +58,7 @@ _BLOCKS = 20
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedAxis:
-    """What a recording tells of an axis.
+    """Axis model and limits identified from a recording.
 
     Attributes
     ----------

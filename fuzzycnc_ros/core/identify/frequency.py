@@ -200,12 +200,12 @@ class _Spectra:
 
     @property
     def coherence(self) -> Array:
-        """How much of the command the instrument explains [-]."""
+        """Coherence of command and instrument [-]."""
         return np.asarray(np.abs(self.ru) ** 2 / np.maximum(self.rr * self.uu, 1e-300))
 
     @property
     def moves(self) -> Array:
-        """How much of the acceleration the instrument explains [-]."""
+        """Coherence of acceleration and instrument [-]."""
         return np.asarray(np.abs(self.ra) ** 2 / np.maximum(self.rr * self.aa, 1e-300))
 
     def estimate(self) -> tuple[NDArray[np.complex128], Array]:

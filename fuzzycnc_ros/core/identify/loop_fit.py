@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""How an axis follows a path: position and velocity loop from commanded and actual positions."""
+"""Position and velocity loop of an axis, identified from commanded and actual positions."""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ class Interval:
 
 @dataclass(frozen=True, eq=False)
 class ResponseFit:
-    """What a frequency response tells of an axis.
+    """Axis model fitted to a frequency response.
 
     Attributes
     ----------
@@ -154,7 +154,7 @@ class ResponseFit:
 
     @property
     def resonance_known(self) -> bool:
-        """Whether a mode was told."""
+        """True if a mode was identified."""
         return self.model.mode > 0.0
 
 
@@ -340,7 +340,7 @@ class _Search:
         return least
 
     def shows(self, found: _Found, top: float) -> bool:
-        """Whether a mode lies among the known lines and makes a difference there."""
+        """Return True if a mode lies among the known lines and makes a difference there."""
         mode = found.values['mode']
         if not max(_LOWEST_MODE, 2.0 * self.frequency[0]) < mode < top / _BEYOND:
             return False

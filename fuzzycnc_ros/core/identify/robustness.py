@@ -89,12 +89,12 @@ class LoopMargin:
 
     @property
     def robust(self) -> bool:
-        """Whether the loop is stable with margin whatever the axis is."""
+        """True if the loop is stable with margin whatever the axis is."""
         return self.distance >= MARGIN and self.radius < 1.0
 
     @property
     def shortfall(self) -> float:
-        """How far it is from that; 0 where it is [-]."""
+        """Missing part of the margin; 0 if the loop is robust [-]."""
         return max(MARGIN - self.distance, 0.0) + max(50.0 * (self.radius - 1.0), 0.0)
 
 
@@ -139,7 +139,7 @@ class AxisModels:
 
     @cached_property
     def deviation(self) -> Array:
-        """How far the axis may be from the model there, as share of it [-]."""
+        """Largest deviation of the axis from the model at each frequency, relative [-]."""
         known, frequency = self.data.knowledge, self.frequency
         found = np.full(len(frequency), 0.1)
         pairs = known.remainders

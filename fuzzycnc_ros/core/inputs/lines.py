@@ -50,7 +50,7 @@ class Travel:
 
     @property
     def sloping(self) -> NDArray[np.bool_]:
-        """Whether each axis takes a slope."""
+        """True for each axis that takes a slope, shape (axes,)."""
         return np.asarray(self.high > self.low, bool)
 
     def ends(self, lines: Lines) -> Array:

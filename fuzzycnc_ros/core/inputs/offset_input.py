@@ -23,7 +23,7 @@ _PLAUSIBLE = {'offset': 1.0, 'slope': 1.0, 'reference_position': 1000.0}
 
 
 class OffsetStatus(IntEnum):
-    """What the offset input does; the numbers are those of CompensationApplied."""
+    """States of the offset input; the numbers are those of CompensationApplied."""
 
     IDLE = 0
     FOLLOWING = 1
@@ -180,7 +180,7 @@ class OffsetInput:
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """Where the axes are told to be, shape (axes,) [m]; NaN where nothing tells."""
+        """Commanded positions of the axes, shape (axes,) [m]; NaN where unknown."""
         return self._position.copy()
 
     @property
@@ -193,7 +193,7 @@ class OffsetInput:
 
     @property
     def at_limit(self) -> NDArray[np.bool_]:
-        """Whether the size limit cuts what is asked for, shape (axes,)."""
+        """True for each axis whose offset is cut by the size limit, shape (axes,)."""
         return self._at_limit.copy()
 
     @property
@@ -203,12 +203,12 @@ class OffsetInput:
 
     @property
     def owner(self) -> str:
-        """Who sent the newest accepted command; empty before the first."""
+        """Sender of the newest accepted command; empty before the first."""
         return self._newest.owner if self._newest else ''
 
     @property
     def status(self) -> OffsetStatus:
-        """What the input does; `REFUSED` lasts until a command is accepted."""
+        """State of the input; `REFUSED` lasts until a command is accepted."""
         if self._refusal or not self._allowed:
             return OffsetStatus.REFUSED
         if self._newest is None:

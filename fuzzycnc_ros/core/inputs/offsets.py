@@ -14,7 +14,7 @@ NEGLIGIBLE = 1e-8
 """Offset in a read-back that is what a controller rounds [m]."""
 
 EPOCH_STEP = 1000
-"""How far above the epoch in force that of a new owner may be: an honest one takes the next, and
+"""Largest step of the epoch for a new owner: an honest one takes the next, and
 one that was restarted meanwhile a few more.  What is beyond would lock all others out."""
 
 

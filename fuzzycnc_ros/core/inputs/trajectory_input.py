@@ -226,7 +226,7 @@ def _refused_by_limits(motion: _Motion, axes: Sequence[str], config: TrajectoryI
 
 
 class TrajectoryStatus(IntEnum):
-    """What the trajectory input does; the numbers are those of TrajectoryState."""
+    """States of the trajectory input; the numbers are those of TrajectoryState."""
 
     IDLE = 0
     FOLLOWING = 1
@@ -380,7 +380,7 @@ class TrajectoryInput:
 
     @property
     def status(self) -> TrajectoryStatus:
-        """What the input does; `REFUSED` lasts until a part is accepted or the path finished."""
+        """State of the input; `REFUSED` lasts until a part is accepted or the path finished."""
         if self._refusal or self._withdrawal:
             return TrajectoryStatus.REFUSED
         return self._status
@@ -516,7 +516,7 @@ class TrajectoryInput:
         return _Motion.of(part, self._axes, before, speed)
 
     def _known(self, part: TrajectoryPart) -> bool:
-        """Whether a part was accepted before; a path that is run again starts later."""
+        """Return True if a part was accepted before; a path that is run again starts later."""
         newest = self._newest
         return (
             newest is not None

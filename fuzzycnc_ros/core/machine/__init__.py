@@ -1,3 +1,3 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of a machine: limits, models of its axes, the loop that follows a path."""
+"""Machine data: limits, models of the axes, the loop that follows a path."""

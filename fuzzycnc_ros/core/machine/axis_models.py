@@ -15,7 +15,7 @@ from fuzzycnc_ros.core.servo.axis import LinearAxis
 
 @dataclass(frozen=True, kw_only=True)
 class PositionSensorConfig(Config):
-    """What an axis measures with, and what goes wrong with it.
+    """Position sensor of an axis, and its errors.
 
     A linear grating sits on the slide; an encoder on the screw does not see backlash, and what
     the screw is wrong by.

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""How well an axis is known: a set of models around the one in its machine file."""
+"""Uncertainty of an axis: a set of models around the one in its machine file."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ NOTHING_KNOWN = AxisKnowledge()
 
 @dataclass(frozen=True, kw_only=True)
 class AxisLimits(Config):
-    """What an axis is allowed, and what is believed of the forces on it."""
+    """Limits of an axis, and the forces on it."""
 
     velocity: float = param(0.25, 'm/s', 'Largest velocity', low=1e-6, high=100.0)
     acceleration: float = param(4.0, 'm/s^2', 'Largest acceleration', low=1e-6, high=1e4)
@@ -104,7 +104,7 @@ class AxisLimits(Config):
 
 @dataclass(frozen=True, kw_only=True)
 class PathLimits(Config):
-    """What the motion along a path is allowed."""
+    """Limits of the motion along a path."""
 
     velocity: float = param(0.25, 'm/s', 'Largest speed along the path', low=1e-6, high=100.0)
     acceleration: float = param(

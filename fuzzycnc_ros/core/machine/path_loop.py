@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""How axes follow a path: interpolator, position and velocity loop, and the error they leave."""
+"""Contour error of axes that follow a path: interpolator, position and velocity loop."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ class PidController(AxisController):
 
     @property
     def status(self) -> ControllerStatus:
-        """What the last period was like; `disturbance` is the integral."""
+        """State in the last period; `disturbance` is the integral."""
         return self._plain_status(self._error, self._error_rate, self._integral.value)
 
     def _restart(self, position: float, duty: float) -> None:
@@ -176,7 +176,7 @@ class CascadeController(AxisController):
 
     @property
     def status(self) -> ControllerStatus:
-        """What the last period was like."""
+        """State in the last period."""
         return self._plain_status(self._error, self._error_rate, self._observer.disturbance)
 
     def _restart(self, position: float, duty: float) -> None:

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What every position controller of an axis is: reference and reading in, duty out."""
+"""Position controller of an axis: reference and reading in, duty out."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def closed_loop(
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerStatus:
-    """What a controller did in its last period; NaN for what it does not have.
+    """State of a controller in its last period; NaN for quantities that it does not have.
 
     Attributes
     ----------
@@ -161,7 +161,7 @@ class AxisController(ABC):
 
     @property
     def taken_back(self) -> bool:
-        """Whether gain was taken back since the reset, as the loop was unstable."""
+        """True if gain was taken back since the reset, as the loop was unstable."""
         return self._share < 1.0
 
     def reset(self, position: float | None = None, duty: float = 0.0) -> None:
@@ -265,7 +265,7 @@ class AxisController(ABC):
         swing.start_over()
 
     def _settles(self, share: float) -> bool:
-        """Whether the loop with the nominal axis is stable at a share of its gain.
+        """Return True if the loop with the nominal axis is stable at a share of its gain.
 
         One with an integral that is fast for its bandwidth is not, however little is left.
         """
@@ -290,7 +290,7 @@ class AxisController(ABC):
     @property
     @abstractmethod
     def status(self) -> ControllerStatus:
-        """What the last period was like."""
+        """State in the last period."""
 
     def _plain_status(
         self, error: float, error_rate: float, disturbance: float

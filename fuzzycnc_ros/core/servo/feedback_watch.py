@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What can go wrong with an axis' feedback, and how a controller notices it by itself.
+"""Faults of an axis' feedback, as a controller notices them by itself.
 
 No clock is asked: everything counts control periods.
 """
@@ -49,7 +49,7 @@ _SEEN = 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class FeedbackLimits:
-    """What a controller believes of its feedback, and when it gives up.
+    """Thresholds beyond which a controller distrusts its feedback or gives up.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ class FeedbackWatch:
         self._restart_divisor()
 
     def accepts(self, reference: float, position: float) -> bool:
-        """Whether a reading [m] can be used; counts it if not, and judges what it shows."""
+        """Return True if a reading [m] can be used; else count it and judge the fault."""
         error = reference - position
         size = self.limits.error_max
         if not -size <= error <= size:  # false for NaN too
@@ -270,7 +270,7 @@ class FeedbackWatch:
         self._end, self._since_end = end, 0
 
     def _still_off(self, position: float) -> bool:
-        """Whether a reading goes on smoothly from one that had jumped: an offset, no glitch."""
+        """Return True if a reading goes on smoothly from one that had jumped: an offset."""
         if self._off is None:
             return False
         return abs(position - self._off - self._slope) <= self._jump
@@ -293,7 +293,7 @@ class FeedbackWatch:
 
     @property
     def _swings_already(self) -> bool:
-        """Whether the loop was seen to be unstable, of which other symptoms follow."""
+        """True if the loop was seen to be unstable, of which other symptoms follow."""
         return self.swing.frequency > 0.0 or self._swings >= _SWINGS_BEFORE_LOSS
 
     def _unstable(self) -> str:

@@ -9,7 +9,7 @@ _MEMORY = 0.05
 
 
 class MovingDisturbance:
-    """What an observer saw of the disturbance while an axis moved, by direction.
+    """Disturbance observed while an axis moved, by direction.
 
     At rest friction takes whatever force there is, and the observer learns that instead: an axis
     that set off with it was up to 28 um behind or ahead.

@@ -74,7 +74,7 @@ class GrowingSwing:
 
     @property
     def lasts(self) -> bool:
-        """Whether a swing neither grows nor dies, as where the drive is at its limit."""
+        """True if a swing neither grows nor dies, as where the drive is at its limit."""
         return self._alike >= _LASTS
 
     def start_over(self) -> None:

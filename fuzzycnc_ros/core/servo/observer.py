@@ -167,7 +167,7 @@ _CHAINS: dict[int, Callable[[_Rows, float], Predict]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class ObserverNoise:
-    """What the observer expects; its gain depends on the ratios alone.
+    """Noise levels of the observer; its gain depends on their ratios alone.
 
     Parameters
     ----------

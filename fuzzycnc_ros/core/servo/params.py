@@ -222,7 +222,7 @@ def default_crossover(axis: LinearAxis) -> float:
 
 
 def settles(axis: LinearAxis, error_gain: float, rate_gain: float) -> bool:
-    """Whether the sampled loop around an axis settles.
+    """Return True if the sampled loop around an axis settles.
 
     Parameters
     ----------

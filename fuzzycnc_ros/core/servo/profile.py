@@ -99,7 +99,7 @@ class Profile:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Where an axis is to be in each control period; afterwards it rests at the end.
+    """Reference of an axis in each control period; afterwards it rests at the end.
 
     Attributes
     ----------

@@ -32,12 +32,12 @@ _METHODS = ('wm', 'lsq')
 """Wang-Mendel as published, and least squares."""
 
 DATA, MIRRORED, FILLED, EMPTY = 'data', 'mirrored', 'filled', ''
-"""Where a cell's consequent is from: records, the opposite cell, its neighbours, nowhere."""
+"""Origin of a cell's consequent: records, the opposite cell, its neighbours, nowhere."""
 
 
 @dataclass(frozen=True, eq=False)
 class LearnedRules:
-    """What was learnt, and how well the records cover it.
+    """Learnt rules, and their coverage by the records.
 
     Attributes
     ----------

@@ -100,7 +100,7 @@ class RuleTable:
 
     @property
     def is_odd(self) -> bool:
-        """Whether the surface is an odd function of both inputs."""
+        """True if the surface is an odd function of both inputs."""
         values, centres = np.array(self.values), np.array(self.centres)
         return bool(
             np.allclose(values, -values[::-1, ::-1], rtol=0.0, atol=1e-12)

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a variable-universe controller settles on an axis, and with what to spare.
+"""Stability of a variable-universe controller on an axis, with its margins.
 
 Near the target the controller is linear, and the sampled loop with its observer has eigenvalues
 and margins like any other.  Farther out the equivalent gains of a sine of that amplitude stand for
@@ -33,7 +33,7 @@ _AMPLITUDES = np.geomspace(1e-7, 0.1, 61)
 
 @dataclass(frozen=True, kw_only=True)
 class StabilityReport:
-    """What the loop has to spare.
+    """Stability margins of the loop.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class StabilityReport:
 
     @property
     def settles(self) -> bool:
-        """Whether all gains settle and no limit cycle is predicted at the nominal one."""
+        """True if all gains settle and no limit cycle is predicted at the nominal one."""
         return max(self.spectral_radius.values()) < 1.0 and self.limit_cycle == 0.0
 
 

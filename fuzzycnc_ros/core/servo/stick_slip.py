@@ -15,7 +15,7 @@ from math import isfinite
 
 @dataclass(frozen=True, kw_only=True)
 class StickSlipParams:
-    """When an axis counts as stuck, and what is done about it.
+    """Detection of a stuck axis, and the remedy.
 
     Parameters
     ----------

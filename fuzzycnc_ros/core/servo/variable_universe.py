@@ -323,7 +323,7 @@ class VariableUniverseController(AxisController):
 
     @property
     def status(self) -> ControllerStatus:
-        """What the last period was like; `disturbance` is observed or integrated."""
+        """State in the last period; `disturbance` is observed or integrated."""
         x, y = self.contracted(self._error, self._error_rate)
         cuts = self.params.rules.centres[1:-1]
         return ControllerStatus(

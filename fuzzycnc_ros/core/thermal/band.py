@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""How far a prediction may be off: held-out residuals, widened with the distance."""
+"""Error band of a prediction: held-out residuals, widened with the distance."""
 
 from dataclasses import dataclass
 
@@ -32,7 +32,7 @@ SCATTER = 0.3
 """Scatter of the gain from fold to fold that is expected beforehand [-]."""
 
 SCATTER_WEIGHT = 3.0
-"""How many folds this expectation is worth [-]."""
+"""Weight of this expectation, in folds [-]."""
 
 GAIN_MIN = 0.1
 """Least gain that is worth another model [-]: the natural logarithm of the residuals' ratio."""

@@ -59,10 +59,10 @@ STANDARD = (
 """Candidates that training fits unless told otherwise; `lag_ridge_drives` beside `lag_ridge`."""
 
 SPEED_SUFFIX = '_speed'
-"""What the name of a candidate that reads the spindle speed ends in."""
+"""Ending of the name of a candidate that reads the spindle speed."""
 
 DRIVES_SUFFIX = '_drives'
-"""What the name of one ends in that reads all that the control tells."""
+"""Ending of the name of a candidate that reads all drivers that the control reports."""
 
 
 def drivers_read(name: str, drivers: tuple[str, ...]) -> tuple[str, ...]:

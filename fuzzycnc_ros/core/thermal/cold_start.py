@@ -25,7 +25,7 @@ SHARE = 0.25
 
 @dataclass(frozen=True, eq=False)
 class ColdStart:
-    """How the temperatures of a machine differ from each other before it is used.
+    """Differences between the temperatures of a machine before it is used.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where a model has been trained, so that it can say when it extrapolates.
+"""Domain of the training of a model, so that it can say when it extrapolates.
 
 The rises of many sensors lie near a few directions: what heats a machine heats it in few ways.
 Two distances tell whether a sample does so too: Hotelling's T along these directions, and the

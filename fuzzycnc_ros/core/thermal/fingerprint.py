@@ -39,7 +39,7 @@ COPY_SHARE = 0.5
 
 @dataclass(frozen=True)
 class Fingerprint:
-    """What is kept of the measured samples of a run.
+    """Fingerprint of the measured samples of a run.
 
     Parameters
     ----------

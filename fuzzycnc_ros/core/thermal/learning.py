@@ -33,7 +33,7 @@ GATE = 4.0
 
 
 class Verdict(IntEnum):
-    """What became of a probe."""
+    """Result of a probe."""
 
     ABSENT = 0
     """Nothing was measured in this channel."""
@@ -81,7 +81,7 @@ FALSE_PROBE = float(portable.log(100e-6 / 0.005))
 """Surprise of a false probe: one in 200 is, anywhere within 100 um [-, of a density in 1/m]."""
 
 TRUST = 8
-"""How many probes the predicted variance is worth beside the squares that probes missed by [-]."""
+"""Weight of the predicted variance beside the squared residuals of probes, in probes [-]."""
 
 RUNS_MAX = 100_000
 """Most runs from the first probe of a window to now."""
@@ -204,7 +204,7 @@ class Basis:
 
 
 class Scales(NamedTuple):
-    """How large the parts of an error are expected to be.
+    """Prior standard deviations of the parts of an error.
 
     Parameters
     ----------
@@ -406,7 +406,7 @@ class Posterior:
 
     @property
     def due(self) -> bool:
-        """Whether the scales are to be learnt anew after the last probe."""
+        """True if the scales are to be learnt anew after the last probe."""
         return len(self._probes) in TUNED or len(self._probes) > WINDOW
 
     @property

@@ -59,7 +59,7 @@ from fuzzycnc_ros.core.thermal.run import (
 from fuzzycnc_ros.core.thermal.sensor_watch import SensorCluster, SensorSelection, SensorWatchModel
 
 REFERENCE_RULE = 'mean of the first three samples'
-"""What rises are meant against, unless a thermal reference says otherwise."""
+"""Reference of rises, unless a thermal reference says otherwise."""
 
 
 class ModelMismatchError(ValueError):
@@ -232,7 +232,7 @@ class ThermalModel:
 
     @property
     def needs_speed(self) -> bool:
-        """Whether the default reads the spindle speed."""
+        """True if the default reads the spindle speed."""
         return SPINDLE_SPEED in self.drivers_of()
 
     def drivers_of(self, candidate: str | None = None) -> tuple[str, ...]:
@@ -589,7 +589,7 @@ def load_model(source: str | os.PathLike[str]) -> ThermalModel:
 
 
 _SCHEMA = 'fuzzycnc/thermal-model'
-"""What a model file says it is."""
+"""Schema name at the top of a model file."""
 
 _SCHEMA_VERSION = 3
 """Version of the layout that is written."""

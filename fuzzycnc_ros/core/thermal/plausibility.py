@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What looks like a mistake in a recording, though no value of it is impossible."""
+"""Likely mistakes in a recording, though no value of it is impossible."""
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -29,7 +29,7 @@ WARMING_MIN, WARMING_MAX = 180.0, 3.0 * 86400.0
 """Times between which a machine gains half of its rise [s]."""
 
 PACE_MARGIN = 5.0
-"""How far within these times the others may be where two sensors or probes are outside [-]."""
+"""Margin on these times for the others where two sensors or probes are outside [-]."""
 
 SHIFTED = 15.0
 """Difference to the other sensors at the start of a run, against other runs, that is odd [K]."""
@@ -170,7 +170,7 @@ def _noise(readings: Array) -> float:
 
 
 class Pace(NamedTuple):
-    """How fast a machine warms and moves.
+    """Rate at which a machine warms and moves.
 
     Parameters
     ----------

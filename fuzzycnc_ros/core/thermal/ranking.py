@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""How well a sensor speaks for the thermal error: correlation and grey relational grade."""
+"""Relevance of a sensor to the thermal error: correlation and grey relational grade."""
 
 import numpy as np
 

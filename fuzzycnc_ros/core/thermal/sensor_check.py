@@ -74,7 +74,7 @@ class SensorAtRest:
 
     @property
     def offset(self) -> float:
-        """What to add to its offset [K]; 0 where that would mend nothing."""
+        """Correction to add to the sensor's offset [K]; 0 where that would mend nothing."""
         return -self.difference if self.verdict == 'differs' else 0.0
 
 

@@ -228,7 +228,7 @@ def agreed(residual: Array) -> Array:
 
 
 class Leverage:
-    """How far a sample of rises lies from the training samples, as its mates see it.
+    """Distance of a sample of rises from the training samples, as its mates see it.
 
     Parameters
     ----------
@@ -286,7 +286,7 @@ agree by chance for as long as the machine keeps its temperature."""
 
 @dataclass(frozen=True, eq=False)
 class SensorWatchModel:
-    """What training knows of the sensors' common behaviour.
+    """Common behaviour of the sensors in training.
 
     Parameters
     ----------
@@ -429,7 +429,7 @@ class SensorWatch:
         self._columns = model.columns
         self._voices = VOTERS * len(model.input)
         self.limit: Array = np.maximum(limit, tolerance * model.missed)
-        """What the mates may agree to miss of each input near the training, shape (p,) [K]."""
+        """Largest disagreement of the mates on each input near the training, shape (p,) [K]."""
         # Where training saw no distance there are no mates, and so nothing to be far from.
         self._farthest = np.where(model.leverage > LENGTH_MIN, model.leverage, np.inf)
         self._persistence = persistence
@@ -444,7 +444,7 @@ class SensorWatch:
 
     @property
     def model(self) -> SensorWatchModel:
-        """What training knows of the sensors."""
+        """Common behaviour of the sensors in training."""
         return self._model
 
     @property
@@ -550,7 +550,7 @@ class SensorWatch:
 
 
 class Estimate(NamedTuple):
-    """What stands in for a rise that cannot be read.
+    """Substitute for a rise that cannot be read.
 
     Parameters
     ----------

@@ -31,8 +31,8 @@ UNEXPLAINED_MAX = 0.35
 tell little of its motion, no sign can be told."""
 
 WORSE, WORSE_BY = 1.5, 0.03
-"""What the recorded signs leave unexplained, over what the right ones leave, at least, and by how
-much more [-]: a run that shares little with the others fits with either sign."""
+"""Least ratio of the residual with the recorded signs to that with the right ones, and least
+difference of both [-]: a run that shares little with the others fits with either sign."""
 
 AGAINST = -0.8
 """Correlation with what the other runs predict below which a run goes against it [-]."""
@@ -65,7 +65,7 @@ class Turned(NamedTuple):
 
 
 class _Told(NamedTuple):
-    """What a run tells: rises (n, s) and displacements (n, c), both weighted."""
+    """Rises (n, s) and displacements (n, c) of a run, both weighted."""
 
     rise: Array
     moved: Array

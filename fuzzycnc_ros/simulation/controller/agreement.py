@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""How far a real LinuxCNC leaves what the simulated controller says, as it was measured."""
+"""Measured difference between a real LinuxCNC and the simulated controller."""
 
 from __future__ import annotations
 

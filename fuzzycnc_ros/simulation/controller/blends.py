@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""How a controller passes from move to move: without a change, on an arc, or with a stop.
+"""Transitions from move to move: without a change, on an arc, or with a stop.
 
 The rules are those of LinuxCNC 2.9 as its manual and its planner have them: nearly tangent moves
 follow each other at once, other corners are rounded by an arc within the tolerance of G64, and
@@ -48,7 +48,7 @@ STOP, TANGENT, OVERLAP = range(3)
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerLimits:
-    """What a controller keeps.
+    """Limits of a controller.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def move_limits(moves: Moves, limits: ControllerLimits) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """What is between moves that follow each other, n - 1 of them.
+    """Corners between moves that follow each other, n - 1 of them.
 
     Attributes
     ----------

@@ -38,7 +38,7 @@ _CURVE_CHORD = 1e-6
 
 @dataclass(frozen=True)
 class PathMode:
-    """How a controller passes corners.
+    """Path mode: treatment of corners.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ def program_moves(blocks: Iterable[Block], before: PathMode | None = None) -> Pr
 
 
 def _stands(block: Block) -> bool:
-    """Whether a line without a motion lets the tool stand: M and T words do."""
+    """Return True if a line without a motion lets the tool stand: M and T words do."""
     return any(word.letter in 'MT' for word in read_line(block.text, block.line).words)
 
 

@@ -23,7 +23,7 @@ _WINDOW_LENGTH, _WINDOW_TIME = 2e-3, 0.012
 
 @dataclass(frozen=True)
 class ContouringRun:
-    """What a machine did on a contour, n samples an interpolation period apart.
+    """Motion of a machine on a contour, n samples an interpolation period apart.
 
     Attributes
     ----------

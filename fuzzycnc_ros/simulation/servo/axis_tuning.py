@@ -123,7 +123,7 @@ class AxisCase:
 
 @dataclass(frozen=True, kw_only=True)
 class AxisFigures:
-    """What a controller did in a case.
+    """Figures of a controller in a case.
 
     Attributes
     ----------
@@ -171,7 +171,7 @@ class TunedController:
 
     @property
     def robust(self) -> bool:
-        """Whether its loop is stable over all that the axis may be, as far as that is known."""
+        """True if its loop is stable over all that the axis may be, as far as that is known."""
         return self.margin is None or self.margin.robust
 
     @property

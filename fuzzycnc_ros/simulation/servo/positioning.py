@@ -59,7 +59,7 @@ class PositioningRun:
 
     @property
     def overshoot(self) -> float:
-        """How far beyond the target the slide came [m]; 0 if it did not."""
+        """Overshoot of the slide beyond the target [m]; 0 if there was none."""
         direction = np.sign(self.target - self.start)
         return float(max(0.0, ((self.position - self.target) * direction).max()))
 
@@ -262,7 +262,7 @@ class PositioningBatch:
 
     @property
     def overshoot(self) -> Array:
-        """How far beyond their targets the slides came, shape (cases,) [m]."""
+        """Overshoot of the slides beyond their targets, shape (cases,) [m]."""
         beyond = -self.error * np.sign(self.target)[:, np.newaxis]
         return np.asarray(np.maximum(beyond.max(axis=1), 0.0))
 

@@ -156,7 +156,7 @@ class FoamTrack:
 
 
 class TrackQuality(NamedTuple):
-    """How well a track was stitched.
+    """Quality of a stitched track.
 
     Attributes
     ----------

@@ -15,7 +15,7 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.simulation.thermal.mill import MILL_STEP
 
 MOUNTINGS = ('fixed_free', 'fixed_fixed', 'linear_scale')
-"""How an axis knows its position: by a screw that grows freely, by one that is stretched between
+"""Mountings of a screw: one that grows freely, one that is stretched between
 two fixed bearings, or by a linear scale."""
 
 SCREW_SENSORS = ('bearing', 'far_bearing', 'nut', 'table')
@@ -33,7 +33,7 @@ _CONDUCTIVITY = 50.0  # [W/(m K)]
 
 @dataclass(frozen=True, kw_only=True)
 class BallScrewConfig:
-    """What a screw is like: lengths in m from the fixed bearing on, positions of the machine.
+    """Properties of a screw: lengths in m from the fixed bearing on, positions of the machine.
 
     Friction is a force: times the speed of the axis it is the heat.
     """
@@ -47,7 +47,7 @@ class BallScrewConfig:
     expansion: float = 11.5e-6
     """Expansion of the screw [1/K]."""
     prestretch: float = 30e-6
-    """How far it is stretched where both bearings are fixed [-]."""
+    """Prestretch of a screw with two fixed bearings [-]."""
     scale_expansion: float = 8e-6
     """Expansion of a linear scale, which is as warm as the table [1/K]."""
     scale_fixed_at: float = 0.0
@@ -89,7 +89,7 @@ class BallScrewConfig:
     housing_loss: float = 2.0
     """Loss of each housing to the surroundings and the bed [W/K]."""
     motor_friction: float = 120.0
-    """What heats the motor, as a force [N]."""
+    """Heat of the motor, as a friction force [N]."""
     motor_capacity: float = 6e3
     """Heat capacity of the motor [J/K]."""
     motor_loss: float = 2.5

@@ -57,7 +57,7 @@ class DutyBlock:
 
 @dataclass(frozen=True)
 class Duty:
-    """What a mill does for a while and how warm the shop is meanwhile.
+    """Duty of a mill for a while, and the temperature of the shop meanwhile.
 
     Parameters
     ----------

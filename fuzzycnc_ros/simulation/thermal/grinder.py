@@ -232,7 +232,7 @@ GRINDER_SENSORS = MACHINE_SENSORS + AIR_SENSORS
 
 @dataclass(frozen=True, eq=False)
 class _GrinderSensors:
-    """How the 38 sensors see nodes and air; drawn once, the same for every grinder.
+    """Sensitivity of the 38 sensors to nodes and air; drawn once, the same for every grinder.
 
     A sensor follows `weights` T + `air` ambient + `shift` through a first-order lag and shows
     that plus `offset`.

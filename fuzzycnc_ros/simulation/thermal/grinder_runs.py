@@ -40,7 +40,7 @@ _LEVELS = 48  # drawn of each random flux; eight hours use 24
 
 @dataclass(frozen=True, eq=False)
 class GrinderCase:
-    """What heats a grinder, in what surroundings and for how long.
+    """Heat sources of a grinder, its surroundings and the duration.
 
     Parameters
     ----------

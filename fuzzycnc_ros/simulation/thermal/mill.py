@@ -187,7 +187,7 @@ def _along(names: tuple[str, ...], count: int) -> list[NDArray[np.float64]]:
 
 
 def sensor_weights() -> NDArray[np.float64]:
-    """Where the sensors sit: weights of the nodes, shape (76, nodes) [-], rows sum to 1."""
+    """Return the sensors' weights of the nodes, shape (76, nodes) [-]; rows sum to 1."""
     single = {
         62: ('fb', 'sh'),
         63: ('rb', 'sh'),
@@ -277,7 +277,7 @@ _DAY = 86_400.0
 
 @dataclass(frozen=True)
 class _Sensors:
-    """How the 76 sensors see the machine; drawn once, the same for every mill."""
+    """Sensitivity of the 76 sensors to the machine; drawn once, the same for every mill."""
 
     weights: NDArray[np.float64]
     contact: NDArray[np.float64]

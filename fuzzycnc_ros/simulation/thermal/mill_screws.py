@@ -29,7 +29,7 @@ _STEP_NS = MILL_STEP * 1_000_000_000
 
 
 class ScrewFault(NamedTuple):
-    """What is wrong with the screw of an axis from a time after a duty began on [s]."""
+    """Fault of the screw of an axis from a time after a duty began on [s]."""
 
     axis: str
     kind: str

@@ -35,12 +35,12 @@ create table if not exists judged (
 """
 
 _FACTS = ''
-"""What stands in place of machine and model for the facts of a bag."""
+"""Name in place of machine and model for the facts of a bag."""
 
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of a bag.
+    """Stored results of a bag.
 
     Parameters
     ----------

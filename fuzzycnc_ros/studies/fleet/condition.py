@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a table of judged bags says of a shop: trends with their confidence, sorted by urgency.
+"""Condition of a shop from its judged bags: trends with confidence, sorted by urgency.
 
 A trend is the slope of Theil and Sen, the median of the slopes between all pairs of bags, with
 Sen's confidence interval: a few odd bags do not turn it.  All trends of one kind are tested
@@ -38,7 +38,7 @@ MONTH = 30.0
 """Time that slopes are told for [days]."""
 
 STALE_RATIO = 1.5
-"""What the newest bags leave, over what training had promised, above which a model is stale."""
+"""Least ratio of the newest bags' residual to that of the training for a model to be stale."""
 
 DOMAIN_MIN = 0.9
 """Share of samples in the domain below which a falling share makes a model stale [-]."""
@@ -62,18 +62,18 @@ class Trend:
 
     @property
     def rises(self) -> bool:
-        """Whether it rises beyond chance."""
+        """True if it rises beyond chance."""
         return self.low > 0.0
 
     @property
     def falls(self) -> bool:
-        """Whether it falls beyond chance."""
+        """True if it falls beyond chance."""
         return self.high < 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """What a model left on a channel of a machine, bag by bag, oldest first.
+    """Residuals of a model on a channel of a machine, bag by bag, oldest first.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ class Course:
 
     @property
     def drift(self) -> float:
-        """What it grew by for sure from the first bag to the last, over `held_out` [-]."""
+        """Certain growth of the residual from the first bag to the last, over `held_out` [-]."""
         if not self.trend.rises:
             return 0.0
         return self.trend.low * self.days / MONTH / max(self.held_out, 1e-9)
@@ -142,23 +142,23 @@ class Course:
 
     @property
     def stale(self) -> bool:
-        """Whether the model no longer fits the machine."""
+        """True if the model no longer fits the machine."""
         return self.leaves_more or self.leaves_domain or bool(self.diverged)
 
     @property
     def leaves_more(self) -> bool:
-        """Whether the newest bags leave more than training had promised, beyond chance."""
+        """True if the newest bags leave more than training had promised, beyond chance."""
         return self.ratio_low > STALE_RATIO
 
     @property
     def leaves_domain(self) -> bool:
-        """Whether the machine leaves the domain of the training."""
+        """True if the machine leaves the domain of the training."""
         return self.domain_trend.falls and self.newest_in_domain < DOMAIN_MIN
 
 
 @dataclass(frozen=True, eq=False)
 class SensorCourse:
-    """What was missing of a sensor, bag by bag, oldest first.
+    """Missing shares of a sensor, bag by bag, oldest first.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ class SensorCourse:
 
     @property
     def fails(self) -> bool:
-        """Whether it is missing in the newest bags."""
+        """True if it is missing in the newest bags."""
         return self.newest_missing > FAILING
 
 

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a bag is by its content, wherever it lies, and which code computes figures of it."""
+"""Identity of a bag by its content, and of the code that computes its figures."""
 
 import hashlib
 import os

@@ -37,7 +37,7 @@ MODEL_SUFFIX = '.json'
 
 
 class Problem(NamedTuple):
-    """What could not be used, and why in one line."""
+    """Unusable input, and the reason in one line."""
 
     name: str
     reason: str
@@ -45,7 +45,7 @@ class Problem(NamedTuple):
 
 @dataclass
 class FleetSummary:
-    """What came of a fleet.
+    """Results of a fleet.
 
     Parameters
     ----------

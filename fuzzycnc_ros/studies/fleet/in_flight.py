@@ -48,7 +48,7 @@ class Killed:
 
 
 class Crew:
-    """Who does the work, one piece of it after another.
+    """Workers that take one piece of work after another.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ class InFlight(Generic[Item, Result]):
 
     @property
     def _together(self) -> int:
-        """How many pieces take so long as is worth it; 0 if one takes longer."""
+        """Number of pieces that take so long as is worth it; 0 if one takes longer."""
         return min(TOGETHER, int(WORTH / max(self._seconds, WORTH / TOGETHER)))
 
     def _landed(

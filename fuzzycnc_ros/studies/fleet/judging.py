@@ -30,7 +30,7 @@ Document = dict[str, Any]
 """Values as JSON has them, NaN and infinity among them."""
 
 MACHINE_BY = ('bag', 'folder')
-"""What names the machine of a bag: its topics, or the folder that it lies in."""
+"""Sources of the machine's name of a bag: its topics, or the folder that it lies in."""
 
 one_at_a_time = threading.Lock()
 """Held while figures are computed: the number of threads of linear algebra is one per process."""
@@ -90,7 +90,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Judged:
-    """What came of a bag.
+    """Result of a bag.
 
     Parameters
     ----------

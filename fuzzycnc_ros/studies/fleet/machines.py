@@ -51,7 +51,7 @@ class MachineBags:
 
 @dataclass(frozen=True)
 class OfMachine:
-    """What came of a machine.
+    """Results of a machine.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Score:
-    """What is left of the thermal error: root mean square and largest absolute value [m]."""
+    """Remaining thermal error: root mean square and largest absolute value [m]."""
 
     rms: float = field(metadata=shown_as('rms_um', 1e6))
     largest: float = field(metadata=shown_as('max_um', 1e6))

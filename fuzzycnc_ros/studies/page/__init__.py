@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What all pages share: tables, sections, drawings, templates.
+"""Common part of all pages: tables, sections, drawings, templates.
 
 matplotlib and jinja2 are loaded when a plot or a page is asked for, rich when a table is printed.
 """

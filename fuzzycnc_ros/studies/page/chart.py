@@ -33,7 +33,7 @@ _DIGITS = 4
 
 @dataclass(frozen=True)
 class Axis:
-    """What an axis shows.
+    """Quantity and range of an axis.
 
     Parameters
     ----------
@@ -258,7 +258,7 @@ class Chart:
 
     @property
     def linked(self) -> bool:
-        """Whether all panels show the same stretch of x, so that zooming into one zooms all."""
+        """True if all panels show the same stretch of x, so that zooming into one zooms all."""
         ends = {(float(p.x[0]), float(p.x[-1])) if len(p.x) else None for p in self.panels}
         return len(self.panels) > 1 and len(ends) == 1
 

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What all plots share: matplotlib figures without pyplot and its global state.
+"""Common part of all plots: matplotlib figures without pyplot and its global state.
 
 Every figure is made inside `plot_style`, which sets type sizes and colours.  A colour has one
 meaning on all pages, and is also the mark by which a figure follows the page's theme.
@@ -34,19 +34,19 @@ INK, MUTED, FAINT, GRID = (PALETTE[name][0] for name in ('ink', 'muted', 'faint'
 """Neutral colours: text, labels, background curves, grid lines."""
 
 MEASURED = INK
-"""What was measured, or told by a sensor, without anything done to it."""
+"""Colour of measured values without anything done to them."""
 
 BEFORE, AFTER = PALETTE['before'][0], PALETTE['after'][0]
 """A machine as it is, and with what this package does: the model, controller or feed in use."""
 
 OTHER, ANOTHER = PALETTE['other'][0], PALETTE['another'][0]
-"""What is drawn beside the one in use for comparison."""
+"""Colours of what is drawn beside the one in use for comparison."""
 
 LIMIT = PALETTE['limit'][0]
 """A limit, a tolerance, and what lies beyond it."""
 
 WARNING = PALETTE['caution'][0]
-"""What calls for attention: not to be trusted, outside the training."""
+"""Colour of warnings: not to be trusted, outside the training."""
 
 THEME: Mapping[str, str] = {light: f'--{name}' for name, (light, _) in PALETTE.items()}
 """Colour -> variable of the page's style sheet, which follows the reader's theme."""

@@ -29,7 +29,7 @@ HEADER = ('Recorded', 'Machine', 'Axis', 'Bag', 'Program', 'Judged')
 """Facts that stand at the top of a page, in this order."""
 
 _SCRIPTS = ('reading.js', 'gestures.js', 'pictures.js', 'charts.js')
-"""What draws figures and follows the reader's hand; each uses those before it."""
+"""Scripts that draw figures and follow the reader's hand; each uses those before it."""
 
 _TAG = re.compile(r'<[^>]*>')
 _DECIMALS = re.compile(r'(\d\.\d\d)\d+')

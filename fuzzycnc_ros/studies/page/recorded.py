@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where recordings come from, for the top of a page."""
+"""Origin of recordings, for the top of a page."""
 
 from collections.abc import Sequence
 from datetime import datetime, timezone

@@ -71,7 +71,7 @@ class ParetoPoint:
 
 @dataclass(frozen=True)
 class MethodCurve:
-    """What a method can do.
+    """Trade-off curve of a method.
 
     Attributes
     ----------

@@ -44,7 +44,7 @@ BEST = (
     'least time, as shown, of the methods that can be used on any path; the refined one is a '
     'bound and does not compete'
 )
-"""What is marked in the table."""
+"""Meaning of the marks in the table."""
 
 _LINES: Mapping[str, tuple[str, tuple[float, ...]]] = {
     'constant': (MUTED, ()),

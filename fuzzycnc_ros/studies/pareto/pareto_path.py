@@ -207,7 +207,7 @@ def _of_points(name: str, point: Array, kept: NDArray[np.bool_], whole: float) -
 
 
 def _bends(segments: tuple[Segment, ...]) -> bool:
-    """Whether a run is more than a straight line."""
+    """Return True if a run is more than a straight line."""
     moving = [segment for segment in segments if segment.length > 0.0]
     if any(np.any(segment.curvatures(2) > 0.0) for segment in moving):
         return True
@@ -215,7 +215,7 @@ def _bends(segments: tuple[Segment, ...]) -> bool:
 
 
 def _turns(step: Array) -> bool:
-    """Whether steps differ in direction."""
+    """Return True if steps differ in direction."""
     direction = step / np.linalg.norm(step, axis=1, keepdims=True)
     return bool(np.any(np.abs(direction - direction[0]) > 1e-6))
 

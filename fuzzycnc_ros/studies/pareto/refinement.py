@@ -38,7 +38,7 @@ class ContourMeasurement(Protocol):
 
     @property
     def arc_length(self) -> Array:
-        """Where on the path each sample belongs [m]."""
+        """Arc length of each sample on the path [m]."""
 
     @property
     def error(self) -> Array:

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What to set so that a part program keeps a contour tolerance, the cheapest remedy first.
+"""Settings with which a part program keeps a contour tolerance, the cheapest remedy first.
 
 Every remedy is judged on the simulated controller: as the program is, with a lower acceleration,
 with another path mode, with scheduled feeds, and with mixtures of these.
@@ -94,7 +94,7 @@ def _without_mode(block: Block) -> str:
 
 
 CORNERS = ('none', 'feed', 'split')
-"""How corners may be kept: not by feeds, by feeds of blocks, by cutting blocks near them."""
+"""Treatments of corners: none, by feeds of blocks, by cutting blocks near them."""
 
 SHARES = ((0.5, 0.2), (0.2, 0.2), (0.05, 0.05), (0.5, 0.5))
 """P and Q of G64 that are tried, as shares of the tolerance [-]."""
@@ -154,11 +154,11 @@ class Remedy:
 
     @property
     def kept(self) -> bool:
-        """Whether the simulated controller keeps what was aimed at."""
+        """True if the simulated controller keeps the aim."""
         return self.judged.error <= self.aim
 
     def sets_the_same(self, other: Remedy) -> bool:
-        """Whether another remedy asks for the same settings."""
+        """Return True if another remedy asks for the same settings."""
         return (self.acceleration, self.mode, self.program) == (
             other.acceleration, other.mode, other.program,
         )  # fmt: skip
@@ -601,7 +601,7 @@ FALL, RISE = 0.7, 0.5
 FALL_MOST, RISE_MOST = 0.3, 1.5
 """Factors of a feed in a round at most [-]."""
 BEHIND = 0.7
-"""What was commanded this long before an error counts as its cause, in delays of the machine."""
+"""Lead of the command that counts as the cause of an error, in delays of the machine."""
 SETTLED = 0.95
 """Error over tolerance from which feeds no longer rise [-]."""
 AIM = 0.97
@@ -612,7 +612,7 @@ already: a round lowers them to `FALL_MOST` at most, and raises them by less [-]
 ROUNDS, ROUNDS_DOWN = 24, 8
 """Rounds, and those at the end in which no feed rises."""
 CUTS = (1e-4, 4e-4)
-"""Where a block is cut before and after what is too fast [m]."""
+"""Distances at which a block is cut before and after a part that is too fast [m]."""
 CUT_LEAST = 1.5
 """Blocks are cut where half of them is longer than that many times the cut [-]."""
 BENT = float(np.radians(3.0))

@@ -49,7 +49,7 @@ class AdviceRow:
 
     @property
     def judged(self) -> Judged:
-        """What counts: LinuxCNC where it ran, else the simulated controller."""
+        """Decisive result: LinuxCNC where it ran, else the simulated controller."""
         return self.measured or self.simulated
 
 
@@ -78,16 +78,16 @@ class AdviceFigures:
 
     @property
     def kept(self) -> bool:
-        """Whether the recommended one keeps the tolerance."""
+        """True if the recommended one keeps the tolerance."""
         return self.keeps(self.rows[self.best])
 
     def keeps(self, row: AdviceRow) -> bool:
-        """Whether a remedy keeps the tolerance on LinuxCNC, or the aim where it did not run."""
+        """Return True if a remedy keeps the tolerance on LinuxCNC, else the simulated aim."""
         return row.judged.error <= (self.tolerance if row.measured else self.aim)
 
     @property
     def remark(self) -> str:
-        """What is aimed at, and why."""
+        """Aim, and the reason for it."""
         more = 100.0 * (self.tolerance / self.aim - 1.0)
         return (
             f'simulated errors are kept below {MICRO * self.aim:.4g} µm, since LinuxCNC left up '
@@ -96,7 +96,7 @@ class AdviceFigures:
 
     @property
     def verdict(self) -> Remark:
-        """What is recommended, or that nothing keeps the tolerance."""
+        """Recommendation, or that nothing keeps the tolerance."""
         best, first = self.rows[self.best], self.rows[0]
         error, time = MICRO * best.judged.error, best.judged.duration
         where = 'on LinuxCNC' if best.measured else 'on the simulated controller'

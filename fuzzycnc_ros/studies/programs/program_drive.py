@@ -65,7 +65,7 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """What a machine did with the paths of a program, n samples a period apart.
+    """Motion of a machine along the paths of a program, n samples a period apart.
 
     Attributes
     ----------

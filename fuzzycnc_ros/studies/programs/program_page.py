@@ -46,7 +46,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class ScheduleFigures:
-    """What became of a part program.
+    """Figures of a scheduled part program.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ class ScheduleFigures:
 
     @property
     def corner_text(self) -> str:
-        """How corners are passed, and who says so."""
+        """Corner rounding, and its source."""
         if not self.corners:
             return _corners(self.settings.blend)
         low, high = min(self.corners), max(self.corners)
@@ -99,12 +99,12 @@ class ScheduleFigures:
 
     @property
     def unchanged(self) -> bool:
-        """Whether the program came out as it went in."""
+        """True if the program came out as it went in."""
         return self.added + self.changed == 0
 
     @property
     def kept(self) -> bool:
-        """Whether what was driven keeps the tolerance."""
+        """True if the driven program keeps the tolerance."""
         return self.driven is None or self.driven.error <= self.tolerance
 
     @property

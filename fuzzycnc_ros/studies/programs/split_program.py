@@ -92,7 +92,7 @@ def check_same_path(program: Program, other: Program) -> None:
 
 
 def _along(piece: Segment, segment: Segment) -> bool:
-    """Whether a piece lies on a segment: its end on the line, or on the arc of one centre."""
+    """Return True if a piece lies on a segment: on its line, or on an arc of one centre."""
     if isinstance(segment, ArcSegment) and isinstance(piece, ArcSegment):
         same = np.abs(np.subtract(piece.centre, segment.centre)).max() < 2.0 * _OFF
         near = np.abs(np.subtract(sorted(piece.radii), sorted(segment.radii))).max()
@@ -178,7 +178,7 @@ def _on_arc(segment: ArcSegment, share: float) -> Array:
 
 
 def _plain(block: Block, line: Line) -> bool:
-    """Whether a block is a line or an arc and nothing else, in absolute words."""
+    """Return True if a block is a line or an arc and nothing else, in absolute words."""
     segment = block.segment
     if block.role is not Role.FEED or block.optional or line.names or line.calls or line.strange:
         return False

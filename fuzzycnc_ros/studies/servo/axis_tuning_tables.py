@@ -20,7 +20,7 @@ LABELS = {
     'linear_tangent': 'linear tangent of the rules',
     'variable_universe': 'variable universe',
 }
-"""What the controllers are called."""
+"""Names of the controllers for readers."""
 
 
 def axis_tuning_table(found: AxisTuning, axis: str) -> Table:

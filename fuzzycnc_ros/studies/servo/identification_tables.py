@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What was identified from a recording: tables, sentences, JSON."""
+"""Identified model of an axis: tables, sentences, JSON."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ class PositioningMove:
 
     @property
     def overshoot(self) -> float:
-        """How far beyond the target the axis read [m]; 0 if it did not."""
+        """Overshoot of the reading beyond the target [m]; 0 if there was none."""
         direction = np.sign(self.target - self.start)
         return float(max(0.0, np.nanmax((self.position - self.target) * direction)))
 

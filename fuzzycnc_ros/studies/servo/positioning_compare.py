@@ -27,7 +27,7 @@ DRAWN = {
 """Cases that are drawn, and what they are called."""
 
 SINCE = {'load +10 %': 1.9, 'sine': 2.0}
-"""Where a drawing begins [s]."""
+"""Begin of a drawing [s]."""
 
 
 def moves_table(comparison: ServoComparison) -> Table:

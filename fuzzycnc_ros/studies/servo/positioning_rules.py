@@ -23,7 +23,7 @@ GAIN_SPREAD = (0.5, 0.75, 1.0, 1.25, 1.5)
 """Gains of the axis, as multiples of the nominal one, at which the loop has to settle."""
 
 MARKS = {'data': '', 'mirrored': '*', 'filled': '~'}
-"""What stands behind a consequent, by where it is from."""
+"""Mark behind a consequent, by its origin."""
 
 
 def rules_table(learned: LearnedRules, sets: tuple[str, ...]) -> Table:

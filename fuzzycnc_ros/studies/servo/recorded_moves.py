@@ -54,10 +54,10 @@ BLOCK = 20
 """Periods over which speed and duty are averaged to see whether they belong together."""
 
 _RATIO = (0.05, 20.0)
-"""What the axis' gain may be against the nominal one."""
+"""Range of the axis' gain over the nominal one [-]."""
 
 _LATE = 0.1
-"""What a stamp may be off a period, as share of it."""
+"""Tolerance of stamps, as a share of a period."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +223,7 @@ def read_bag(path: Path, axis: str | None) -> Moves:
 
 
 class _Course:
-    """Where an axis was to be, from its commands and what its controller said."""
+    """Reference of an axis, from its commands and its controller's reports."""
 
     def __init__(
         self, name: str, seen: dict[str, list[Any]], config: ServoControllerConfig

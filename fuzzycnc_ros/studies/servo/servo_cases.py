@@ -25,7 +25,7 @@ Tell = Callable[[str, int, int], None]
 
 
 OFF_GRID = 2.9e-7
-"""What targets lie beside the counts of the sensor, so that these do not flatter [m]."""
+"""Offset of targets from the counts of the sensor, so that these do not flatter [m]."""
 
 STEADY = 2.0
 """Time from which on a move is to be steady, and at which the load steps in [s]."""
@@ -44,7 +44,7 @@ FRICTIONS = ('moderate', 'hard')
 LOADS = ('load +10 %', 'load -10 %')
 
 PATIENCE = 40.0
-"""How long a move without friction is waited for that has not settled [s]."""
+"""Longest wait for a move without friction that has not settled [s]."""
 
 _SMOOTH = {'coulomb': 0.0, 'breakaway': 0.0}
 
@@ -70,7 +70,7 @@ class RandomFigures:
 
 @dataclass(frozen=True, eq=False)
 class ControllerFigures:
-    """What one controller does on all cases.
+    """Figures of one controller on all cases.
 
     Attributes
     ----------

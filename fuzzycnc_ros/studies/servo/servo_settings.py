@@ -19,7 +19,7 @@ _KEYS = ('axis', 'settings', 'rules', 'about')
 
 @dataclass(frozen=True, eq=False)
 class ServoSettings:
-    """What a file of settings says.
+    """Settings of a settings file.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What was measured, predicted and compensated in a shift, duty by duty."""
+"""Measured, predicted and compensated errors of a shift, duty by duty."""
 
 from collections.abc import Sequence
 from types import MappingProxyType

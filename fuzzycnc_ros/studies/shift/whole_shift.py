@@ -44,7 +44,7 @@ JOBS = (
     '19800:path:butterfly',
     '25200:move:X:0.0,Y:0.0,Z:0.0',
 )
-"""What is cut and moved, by time of the shift: warming up, hot, in pauses, and cooling down."""
+"""Cuts and moves, by time of the shift: warming up, hot, in pauses, and cooling down."""
 AXES = ('X:ballscrew', 'Y:ballscrew', 'Z:ballscrew')
 CONTROLLER = 'variable_universe'
 """Controller of the axes, which follow paths without load, as their model has them.  There its
@@ -78,7 +78,7 @@ class WholeShiftError(RuntimeError):
 
 @dataclass(frozen=True)
 class ShiftSettings:
-    """What differs between shifts.
+    """Settings that differ between shifts.
 
     Parameters
     ----------

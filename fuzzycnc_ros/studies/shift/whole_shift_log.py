@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What became of a whole shift: the error of each job, and where it comes from."""
+"""Errors of each job of a whole shift, and their sources."""
 
 import os
 from collections.abc import Sequence

@@ -68,13 +68,13 @@ _SIGNATURES = {
     '.pec': b'#PEC',
     '.vp3': b'%vsm%',
 }
-"""What files of a format begin with."""
+"""First bytes of the files of a format."""
 
 _ENDED = ('.dst', '.pes', '.vp3', '.hus', '.xxx', '.u01', '.tbf')
 """Formats that say where they end: a file that ends before is damaged."""
 
 _FLATTENED = 2e-5
-"""How far a flattened curve may be off [m]."""
+"""Tolerance of a flattened curve [m]."""
 _JOINED = 1e-5
 """Gap of a drawing that is none [m]."""
 _POINT = 25.4e-3 / 96.0

@@ -69,7 +69,7 @@ _RAMP = CompensationConfig(accumulate='ramp', rate_max=0.5, offset_max=0.1)  # n
 
 @dataclass(frozen=True, eq=False)
 class MethodFigures:
-    """What one way to compensate does on one track.
+    """Figures of one way to compensate on one track.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ class TrackFigures:
 
     @property
     def title(self) -> str:
-        """What people read it as."""
+        """Name for readers."""
         return self.name.replace(' deg', '°')
 
 
@@ -158,7 +158,7 @@ class TrackCase:
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Name of the case."""
         return f'{self.angle:g} deg, {self.thickness:g} mm thick, {self.depth:g} mm deep'
 
     @cached_property
@@ -178,7 +178,7 @@ class TrackCase:
 
     @cached_property
     def path(self) -> StitchPath:
-        """What is to be stitched."""
+        """Path to be stitched."""
         return StitchPath(self.track.points, depth=1e-3 * self.depth, step=STEP)
 
     def stitch(self, commanded: Array, rng: np.random.Generator) -> Array:

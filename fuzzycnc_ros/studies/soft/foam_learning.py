@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What recorded runs teach: offsets of one track, and gains of a model for another sheet."""
+"""Learning from recorded runs: offsets of one track, and gains of a model for another sheet."""
 
 from __future__ import annotations
 
@@ -209,7 +209,7 @@ def _other(paths: Sequence[RecordedPath]) -> RecordedPath:
 
 
 TURN_MAX = 10.0
-"""How far a sample may lie beside the directions of a model whose gains are fitted to it [deg]."""
+"""Largest angle of a sample beside the directions of a model that is fitted to it [deg]."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,7 +36,7 @@ SECOND = 1e9
 
 @dataclass
 class Recordings:
-    """What bags hold of paths and their stitches.
+    """Paths in bags, and their stitches.
 
     Attributes
     ----------

@@ -63,12 +63,12 @@ class StitchedPattern:
 
     @property
     def nominal(self) -> Floats:
-        """Where the stitches are to lie [m], shape (n + 1, 2)."""
+        """Nominal positions of the stitches [m], shape (n + 1, 2)."""
         return self.path.nominal.reshape(-1, 2)
 
     @property
     def commanded(self) -> Floats:
-        """Where the needle was sent [m], shape (n + 1, 2)."""
+        """Commanded positions of the needle [m], shape (n + 1, 2)."""
         return (self.path.nominal + self.path.offset).reshape(-1, 2)
 
     @property
@@ -155,7 +155,7 @@ class PatternLog(RecordLog):
 TRACK = 'parallelogram:45'
 """The test track: a parallelogram like that of [deng2014]."""
 STITCH_BLEND = 10e-6
-"""How far the tool may pass by a stitch within a primitive [m]; at 0 it would stop at each."""
+"""Blend at a stitch within a primitive [m]; at 0 the tool would stop at each."""
 
 
 class PatternError(RuntimeError):

@@ -23,7 +23,7 @@ _THREAD_WIDTH, _HOLE_RADIUS, _TUCK = 0.42e-3, 0.18e-3, 0.2e-3
 
 @dataclass(frozen=True)
 class Camera:
-    """How a photograph is taken.
+    """Camera settings of a photograph.
 
     Parameters
     ----------

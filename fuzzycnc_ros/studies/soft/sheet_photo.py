@@ -34,7 +34,7 @@ STRAY = 6.0
 STRAY_MIN = 0.4e-3
 """Least such distance [m]."""
 MARKS_OFF = 0.1e-3
-"""What the marks may be off their places, root mean square [m]."""
+"""Largest RMS error of the marks' places [m]."""
 
 _WINDOW = 1.8e-3  # half the side of what is compared around a stitch [m]
 _NEAR = 0.8e-3  # reach of the second look [m]
@@ -51,7 +51,7 @@ _GLARE = 2.5e-3  # what is wider is no thread [m]
 
 @dataclass(frozen=True, eq=False)
 class SheetView:
-    """How a camera sees a sheet: a homography, and the first radial distortion of its lens.
+    """Camera model of a sheet: a homography, and the first radial distortion of its lens.
 
     Attributes
     ----------

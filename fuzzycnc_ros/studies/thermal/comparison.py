@@ -39,10 +39,10 @@ COMPARED_MARK = ' \u2020'
 COMPARED_LINE = (
     f'{COMPARED_MARK.strip()} only compared: no model file holds it, no machine runs it'
 )
-"""What that mark means."""
+"""Meaning of that mark."""
 
 LEFT = 'residual thermal error'
-"""What a table holds."""
+"""Caption of a table."""
 
 POOLED = 'All held-out runs'
 """Heading of what is taken over all of them."""

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What was judged and what came of it, in sentences that pages and terminals share."""
+"""Judged models and their results, in sentences that pages and terminals share."""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING

@@ -247,7 +247,7 @@ LINES = (
     'Each sample is judged against the probes before it. ± is the half width of the band, two '
     'predicted standard deviations, in the median.',
 )
-"""What the figures mean, for whoever reads them."""
+"""Meaning of the figures for readers."""
 
 
 def learnt_lines(found: Sequence[LearntRun]) -> list[str]:

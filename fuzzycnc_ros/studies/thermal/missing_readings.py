@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a predictor would have read where readings of a recorded run are missing."""
+"""Predictions of a model where readings of a recorded run are missing."""
 
 import os
 from collections.abc import Collection
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.thermal.run import ThermalRun
 
 LINE, MATES = 'line', 'mates'
-"""What stands where readings are missing: a straight line, or what other sensors say."""
+"""Substitutes of missing readings: a straight line, or estimates from other sensors."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What probing now and then leaves of a run, with the model and without: tables and figures."""
+"""Effect of occasional probing on a run, with the model and without: tables and figures."""
 
 from __future__ import annotations
 
@@ -257,7 +257,7 @@ RULE = (
     'Samples count once their channel has been probed, and each is judged against the probes '
     'before it.'
 )
-"""What counts, for whoever reads the figures."""
+"""Rule of counting, for readers of the figures."""
 
 
 def probed_table(probed: Sequence[ProbedEvaluation]) -> Table:

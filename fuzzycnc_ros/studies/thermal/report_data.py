@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a report is made of: arrays of compensation runs, curves, latencies, facts."""
+"""Data of a report: arrays of compensation runs, curves, latencies, facts."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,7 +22,7 @@ class ReportDataError(ValueError):
 
 @dataclass(frozen=True)
 class Score:
-    """How large a residual is: largest size and root mean square [m]; inf if it diverged."""
+    """Size of a residual: largest and root mean square [m]; inf if it diverged."""
 
     max: float = field(metadata=shown_as('max_um', 1e6))
     rms: float = field(metadata=shown_as('rms_um', 1e6))

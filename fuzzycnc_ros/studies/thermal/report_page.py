@@ -40,7 +40,7 @@ from fuzzycnc_ros.studies.thermal.summary import candidate_label, micrometres, s
 
 @dataclass(frozen=True)
 class _KeyFigure:
-    """What compensation made of one channel of one run, as text."""
+    """Effect of compensation on one channel of one run, as text."""
 
     label: str
     before: str

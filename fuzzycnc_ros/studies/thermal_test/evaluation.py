@@ -26,7 +26,7 @@ GAP_SHARE = 0.05
 """Longest stretch without a sample that a range bridges, as share of what it covers."""
 
 LATE = 1.5
-"""How many usual spacings may be missing at the ends of a stretch, and 2.5 within it."""
+"""Missing spacings allowed at the ends of a stretch, in usual ones, and 2.5 within it."""
 
 NOISE_MARGIN = 6.0
 """A change is one from so many standard deviations of the noise on."""
@@ -44,7 +44,7 @@ class Found(NamedTuple):
 
 @dataclass(frozen=True)
 class Drift:
-    """What a quantity did in a phase.
+    """Drift of a quantity in a phase.
 
     Parameters
     ----------

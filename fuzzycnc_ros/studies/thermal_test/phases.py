@@ -14,7 +14,7 @@ from fuzzycnc_ros.bags.errors import RunError
 from fuzzycnc_ros.studies.thermal_test.recording import Mark, TestRecording
 
 KINDS = ('environment', 'spindle', 'axis', 'cooling', 'other')
-"""What a phase may be."""
+"""Kinds of phases."""
 
 END = 'end'
 """Mark that ends a phase and begins none."""
@@ -67,7 +67,7 @@ class Phase:
 
     @property
     def duration(self) -> float:
-        """How long it lasts [s]."""
+        """Duration [s]."""
         return self.end - self.start
 
 

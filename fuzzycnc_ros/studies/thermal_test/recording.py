@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a bag holds of a thermal test: displacements, offsets, temperatures, speed, marks."""
+"""Recording of a thermal test: displacements, offsets, temperatures, speed, marks."""
 
 import json
 import os
@@ -35,11 +35,11 @@ MARK = 'mark'
 """Name of the event by which a person says that a phase begins."""
 
 HELD_SHARE = 2.5
-"""How long an offset counts when no read-back follows, in usual spacings of the read-backs."""
+"""Validity of an offset when no read-back follows, in usual spacings of the read-backs."""
 
 
 class Mark(NamedTuple):
-    """What a person said: when [s], which phase begins, and who said it."""
+    """Entry by a person: its time [s], the phase that begins, and the author."""
 
     time: float
     phase: str

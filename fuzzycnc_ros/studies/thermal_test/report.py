@@ -34,7 +34,7 @@ from fuzzycnc_ros.studies.thermal_test.set_up import (
 from fuzzycnc_ros.studies.thermal_test.uncertainty import COVERAGE, Budget, find_budget
 
 NOT_STATED = 'not stated'
-"""What stands where nobody has said anything."""
+"""Text in place of a missing statement."""
 
 STATED, BAG = 'stated', 'bag'
 
@@ -77,7 +77,7 @@ class ThermalTest:
 
     @property
     def compensated(self) -> bool:
-        """Whether anything is known with compensation."""
+        """True if anything is known with compensation."""
         return any(item.compensated for item in self.phases)
 
 

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What people state of a thermal test, and which channel of the bag is which probe."""
+"""Statements about a thermal test, and the channel of the bag of each probe."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -23,7 +23,7 @@ its place along Z.
 
 @dataclass(frozen=True, kw_only=True)
 class TestSetUp:
-    """What is stated of a test; what is empty or NaN was not.
+    """Statements about a test; a missing one is empty or NaN.
 
     Parameters
     ----------

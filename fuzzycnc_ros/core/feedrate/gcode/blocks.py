@@ -11,7 +11,7 @@ from fuzzycnc_ros.core.feedrate.gcode.segments import Segment
 
 
 class Role(Enum):
-    """What a line means for the feed."""
+    """Meaning of a line for the feed."""
 
     PLAIN = auto()
     """Moves nothing that heeds the feed."""
@@ -119,7 +119,7 @@ class Program:
 
     @cached_property
     def segments(self) -> tuple[Segment, ...]:
-        """What moves, in order; rapids and dwells among it."""
+        """Moving parts in order; rapids and dwells among them."""
         return tuple(block.segment for block in self.blocks if block.segment is not None)
 
     @cached_property

@@ -10,7 +10,7 @@ from typing import Protocol
 
 
 class Values(Protocol):
-    """Where an expression finds its parameters."""
+    """Parameters by number and name, as an expression asks for them."""
 
     def number(self, index: float | None) -> float | None:
         """Return a numbered parameter, None where only the controller knows it."""
@@ -125,7 +125,7 @@ def read_target(text: str, at: int, depth: int = 0) -> tuple['Target', int]:
 
 
 Target = str | Expression
-"""What an assignment sets: a name, or what computes a number."""
+"""Target of an assignment: a name, or an expression that computes a number."""
 
 
 def parameter_name(text: str) -> str:

@@ -289,7 +289,7 @@ class Interpreter:
         return self._finish() if self._curve.take(line.words, self._line) else []
 
     def _reached(self, text: str) -> bool:
-        """Whether a jump may lead to a line."""
+        """Return True if a jump may lead to a line."""
         number = _LINE_NUMBER.match(text)
         return number is not None and (self._jumps is None or int(number[1]) in self._jumps)
 
@@ -605,7 +605,7 @@ class Interpreter:
         self._say('M72 or M73 restores the feed: unknown until F')
 
     def _called(self, line: Line) -> bool:
-        """Whether the line is a Siemens call of a subprogram, `L100`."""
+        """Return True if the line is a Siemens call of a subprogram, `L100`."""
         letters = {word.letter for word in line.words}
         return 'L' in letters and not letters & _CALL_LETTERS and self.state.motion != 52
 
@@ -621,17 +621,17 @@ _LOST = 'where the tool stands is unknown until all axes are named'
 
 
 def _axes(line: Line) -> bool:
-    """Whether a line names an axis."""
+    """Return True if a line names an axis."""
     return any(word.letter in 'XYZABCUVW' for word in line.words)
 
 
 def _limits_spindle(line: Line) -> bool:
-    """Whether a line with G50 or G92 is about the speed of the spindle alone."""
+    """Return True if a line with G50 or G92 concerns the spindle speed alone."""
     return _names(line, 'S') and not _axes(line)
 
 
 def _is_box(line: Line) -> bool:
-    """Whether G90, G92 or G94 of a lathe is a cycle: an axis stands beside it, and no motion."""
+    """Return True if G90, G92 or G94 of a lathe is a cycle: with an axis, without a motion."""
     moves = any(word.letter == 'G' and word.value in (0.0, 1.0, 2.0, 3.0) for word in line.words)
     return not moves and bool(named_axes(line, relative=True))
 

@@ -50,7 +50,7 @@ class FlowWord(NamedTuple):
 
 
 class Line:
-    """What a line says.
+    """Words, names, calls and assignments of one line.
 
     Attributes
     ----------
@@ -252,7 +252,7 @@ _BARE_AXIS = re.compile(r'(?<![A-Z_])[XYZ](?![A-Z_])', re.IGNORECASE | re.ASCII)
 
 
 def _owns_words(words: list[Word]) -> bool:
-    """Whether the first word, but for a number of the line, is a command that owns the others."""
+    """Return True if the first word, but for a line number, is a command that owns the others."""
     first = words[1] if words[0].letter == 'N' and len(words) > 1 else words[0]
     if first.letter != 'M' or first.value is None:
         return False
@@ -331,7 +331,7 @@ def _check_length(letter: str, value: float, found: str, number: int) -> None:
 
 
 def says(text: str) -> bool:
-    """Whether a line is more than blanks, comments or a `%`."""
+    """Return True if a line is more than blanks, comments or a `%`."""
     return _SILENT.fullmatch(text) is None
 
 

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a controller remembers from block to block, and which words it knows."""
+"""Modal state of a controller, and the words that it knows."""
 
 from dataclasses import dataclass
 from math import nan
@@ -171,7 +171,7 @@ SILENT_NAMES = frozenset(
     'ORIAXES ORIMKS ORIWKS ORIVECT ORIMACHAX UPATH SPATH STOPRE CFC CFTCP CFIN '
     'NORM KONT RTLION RTLIOF DYNNORM DYNPOS DYNROUGH DYNSEMIFIN DYNFINISH'.split()
 )
-"""How to follow the path, not where it runs."""
+"""Words that choose how the path is followed; its shape stays."""
 
 SILENT_CALLS = frozenset({'MSG', 'CYCLE832', 'SETAL', 'WORKPIECE', 'GROUP_BEGIN', 'GROUP_END'})
 """Messages and settings."""

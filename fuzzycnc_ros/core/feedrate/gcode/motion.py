@@ -400,7 +400,7 @@ def begin_cycle(code: int, state: State) -> None:
 
 
 def runs_cycle(line: Line, state: State) -> bool:
-    """Whether a line with a cycle in effect runs it: it names an axis."""
+    """Return True if a line with a cycle in effect runs it: it names an axis."""
     return state.cycle is not None and any(word.letter in 'XYZABCUVW' for word in line.words)
 
 

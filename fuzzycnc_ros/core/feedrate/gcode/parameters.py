@@ -50,7 +50,7 @@ class Parameters:
 
     @property
     def depth(self) -> int:
-        """How many subroutines are being run inside each other."""
+        """Depth of nested subroutine calls."""
         return len(self._local) - 1
 
     def number(self, index: float | None) -> float | None:

@@ -95,7 +95,7 @@ class _Listing:
         return self._number.get(name)
 
     def closes(self, index: int) -> bool:
-        """Whether a `while` closes a `do`."""
+        """Return True if a `while` closes a `do`."""
         return index in self._closing
 
     def next(self, index: int, kinds: tuple[str, ...]) -> int | None:
@@ -113,7 +113,7 @@ class _Listing:
         return min((start for start, end in self._spans if start <= index <= end), default=index)
 
     def calls_after(self, index: int) -> bool:
-        """Whether a subroutine may be called from a line on."""
+        """Return True if a subroutine may be called from a line on."""
         return any(at >= index and word.kind == 'call' for at, word in self.flow.items()) or any(
             '98' in text for text in self.lines[index:]
         )
@@ -232,7 +232,7 @@ _DEPTH = 9
 
 
 def _steers(line: Line) -> bool:
-    """Whether a line decides which one is run next."""
+    """Return True if a line decides which one is run next."""
     return line.flow is not None or any(
         word.letter == 'M' and word.value == 98.0 for word in line.words
     )
@@ -244,7 +244,7 @@ class _AstrayError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class _Frame:
-    """Where a subroutine returns to, and how often it is run again (M98 with L)."""
+    """Return address of a subroutine, and its remaining repetitions (M98 with L)."""
 
     listing: _Listing
     index: int
@@ -685,7 +685,7 @@ class ProgramReader:
 
     @property
     def notes(self) -> tuple[Note, ...]:
-        """What was passed through so far."""
+        """Notes on lines passed through so far."""
         return self._interpreter.notes.all()
 
     def blocks(self, lines: Iterable[str]) -> Iterator[Block]:

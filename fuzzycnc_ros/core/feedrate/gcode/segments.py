@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What part programs say, in metres: lines, arcs, NURBS curves, dwells; or nothing possible."""
+"""Segments of part programs in metres: lines, arcs, NURBS curves and dwells."""
 
 import math
 from abc import ABC, abstractmethod
@@ -71,7 +71,7 @@ class Segment(ABC):
 
     @property
     def schedulable(self) -> bool:
-        """Whether its feed may be chosen anew."""
+        """True if its feed may be chosen anew."""
         return self.feed is not None and not self.turning and self.length > 0.0
 
     @property

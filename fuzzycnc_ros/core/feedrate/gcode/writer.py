@@ -44,7 +44,7 @@ def _own_feed(block: Block, before: float | None) -> float | None:
 
 
 def _same(feed: float, other: float | None, unit: float) -> bool:
-    """Whether two feeds [m/s] are one in a program whose unit of feed is given [m/s]."""
+    """Return True if two feeds [m/s] are one in a program whose unit of feed is given [m/s]."""
     if other is None:
         return False
     if feed == other:
@@ -111,7 +111,7 @@ class _Entry:
 
     @property
     def addable(self) -> bool:
-        """Whether the line may get a word that holds for all of its passes."""
+        """True if the line may get a word that holds for all of its passes."""
         return self.free and self.moves
 
 

@@ -141,7 +141,7 @@ class _Profile:
 
 
 class _SpeedProfile(Protocol):
-    """What turns pieces into speeds."""
+    """Speed profile: turns pieces into speeds."""
 
     def push(self, pieces: Pieces) -> None:
         """Take the next pieces."""

@@ -101,7 +101,7 @@ class Trajectory:
 
     @property
     def rests(self) -> float:
-        """When the motion, average included, has come to its last place for good [s]."""
+        """Time at which the motion, average included, has come to its last place for good [s]."""
         arrived = int(np.searchsorted(self.arc_length, self.arc_length[-1]))
         return float(self.time[arrived]) + (self.window if arrived else 0.0)
 

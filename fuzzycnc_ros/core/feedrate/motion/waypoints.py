@@ -18,7 +18,7 @@ from fuzzycnc_ros.core.arrays import Array
 _SHARES = (0.95, 0.8, 0.5, 0.25)
 """Shares of the largest braking that are tried for a way to rest; sampling rounds corners off."""
 _ROOM = 1.005
-"""What of a limit a sampled way to rest may take up."""
+"""Room that a sampled way to rest may take beyond a limit [-]."""
 _NEIGHBOURS = np.arange(-1, 3)
 """Samples about the present one within which the motion of the next period lies."""
 

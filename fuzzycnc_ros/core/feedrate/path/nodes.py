@@ -39,7 +39,7 @@ _POINTS_FEW = 5
 
 @dataclass(frozen=True)
 class NodePlan:
-    """How to place nodes for a scheduler.
+    """Placement of nodes for a scheduler.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class NodePlan:
 
     @property
     def even(self) -> bool:
-        """Whether nodes lie at most `_SPACING` apart."""
+        """True if nodes lie at most `_SPACING` apart."""
         return not np.isfinite(self.edge)
 
 

@@ -554,7 +554,7 @@ def _junctions(
 
 
 EASING = 1e-6
-"""Where only the curvature jumps, as from a line to an arc, the path moves by up to this [m]."""
+"""Largest shift of the path where only the curvature jumps, as from a line to an arc [m]."""
 
 _GAP = 1e-9
 """Distance up to which two segments meet [m]."""
@@ -789,7 +789,7 @@ class PathBuilder:
 
     @property
     def moved(self) -> bool:
-        """Whether a segment has moved so far."""
+        """True if a segment has moved so far."""
         return self._kept is not None
 
     def finish(self) -> ReferencePath | None:

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What schedulers know of a path: arc length, curvature and where it turns back.
+"""Sampled path for schedulers: arc length, curvature and reversals.
 
 The curvature of samples is that of their circle, in any dimension, with rules for duplicate
 points, corners and reversals, closed paths and rounded coordinates.
@@ -488,7 +488,7 @@ class SampledPath:
 
     @property
     def closed(self) -> bool:
-        """Whether the path goes on from its last point to its first."""
+        """True if the path goes on from its last point to its first."""
         return self.lap is not None
 
     def largest_within(self, ahead: float, behind: float) -> Array:

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a reference path is made of: lines, arcs and smooth curves by arc length, many at once.
+"""Shapes of a reference path: lines, arcs and smooth curves by arc length, many at once.
 
 NURBS curves are cut where they are not smooth, and have nodes where they bend.
 """

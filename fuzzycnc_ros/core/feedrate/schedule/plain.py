@@ -19,7 +19,7 @@ CURVATURE_FLOOR = 1e-9
 
 @dataclass(frozen=True)
 class Reach:
-    """How far along a path the feed at a point depends on the curvature elsewhere.
+    """Reach of the feed rule: how far along a path the feed depends on the curvature.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Reach:
 
     @property
     def bounded(self) -> bool:
-        """Whether a path can be taken in parts."""
+        """True if a path can be taken in parts."""
         return isfinite(self.length_behind) and isfinite(self.length_ahead)
 
     def ready(self, arc_length: Array) -> int:
@@ -83,7 +83,7 @@ class Scheduler(ABC):
     """
 
     relative: ClassVar[bool] = False
-    """Whether the ratio scales the programmed feed; if not, `feed` is a limit by itself."""
+    """True if the ratio scales the programmed feed; if not, `feed` is a limit by itself."""
 
     feed_max: float
     feed_min: float = 2e-5
@@ -142,7 +142,7 @@ class Scheduler(ABC):
 
     @property
     def reach(self) -> Reach:
-        """How far the feed at a point depends on the path elsewhere."""
+        """Reach along the path of the curvature that the feed at a point depends on."""
         return Reach()
 
     def check_streamable(self) -> None:

@@ -266,7 +266,7 @@ class _Outlook:
 
 @dataclass(frozen=True)
 class PlannerSettings:
-    """What a planner goes by.
+    """Settings of a planner.
 
     Attributes
     ----------
@@ -432,7 +432,7 @@ class Planner:
 
     @property
     def exhausted(self) -> bool:
-        """Whether the last sample of the path has been taken."""
+        """True if the last sample of the path has been taken."""
         return self._complete and self._taken >= self._count
 
     @property
@@ -442,12 +442,12 @@ class Planner:
 
     @property
     def finished(self) -> bool:
-        """Whether the whole path is here."""
+        """True if the whole path is here."""
         return self._finished
 
     @property
     def held(self) -> bool:
-        """Whether the motion has come to rest for a feed hold, or will."""
+        """True if the motion has come to rest for a feed hold, or will."""
         return self._stream is None and not self._complete
 
     @property

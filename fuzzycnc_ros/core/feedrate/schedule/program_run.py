@@ -316,7 +316,7 @@ class ProgramRun:
 
     @property
     def corners(self) -> float:
-        """How far its corners are rounded off [m]."""
+        """Corner rounding of the path [m]."""
         return self._settings.blend if self._blend is None else self._blend
 
     def schedule(self) -> Iterator[tuple[Block, float | None]]:

@@ -303,7 +303,7 @@ def _joined(parts: list[tuple[ReferencePath, Array]], place: float) -> tuple[Ref
 
 @dataclass
 class ProgramTimes:
-    """What a program takes within the limits, once all of it has been scheduled.
+    """Duration of a program within the limits, once all of it has been scheduled.
 
     Attributes
     ----------

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""How a part program is to be scheduled."""
+"""Settings for the scheduling of a part program."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ AXIS_COUNT = 3
 
 @dataclass(frozen=True, kw_only=True)
 class ProgramSettings:
-    """How a part program is to be scheduled.
+    """Settings for the scheduling of a part program.
 
     Parameters
     ----------

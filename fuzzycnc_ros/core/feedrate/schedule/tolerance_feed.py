@@ -146,7 +146,7 @@ class ToleranceFeed(Scheduler):
 
     @property
     def _approach_length(self) -> float:
-        """How far behind a point the approach to it can begin [m]."""
+        """Largest distance behind a point at which the approach to it can begin [m]."""
         return self._approach_time * self.feed_max
 
     def excess(self, curvature: Array) -> Array:

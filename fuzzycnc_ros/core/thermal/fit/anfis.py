@@ -18,7 +18,7 @@ from fuzzycnc_ros.core.thermal.recursions.base import check_interval
 from fuzzycnc_ros.core.thermal.recursions.rules import CorrectedRecursion, RulesRecursion
 
 RULES = ('fcm', 'grid')
-"""Where the rules come from."""
+"""Origins of the rules."""
 
 GRID_INPUTS_MAX = 8
 """Most inputs of a grid: 2^8 rules with 9 consequents each."""

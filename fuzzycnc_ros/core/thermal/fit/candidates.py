@@ -55,7 +55,7 @@ SPEED_LAGS = (1200.0, 3600.0, 14400.0)
 
 @dataclass(frozen=True)
 class Contender:
-    """How a candidate is fitted and takes part in a choice.
+    """Estimator of a candidate, and its part in a choice.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ LAG_SETS = ((1200.0,), (1200.0, 3600.0), (300.0, 1200.0))
 """Sets of lags [s] of the rises that LagRidge tries; beside the speed also none."""
 
 COMMON_WEIGHT = 6.0
-"""How many folds of its own the channels together are worth to a channel's settings [-]."""
+"""Weight of all channels together in the settings of one, in folds of its own [-]."""
 
 STABLE_GREY_RIDGE = 1e-3
 """Penalty of the stable grey candidate [-]."""
@@ -404,7 +404,7 @@ CONTENDERS: Mapping[str, Contender] = MappingProxyType(
         'hybrid_network_speed': Contender(HybridFilterNetwork, network=True),
     }
 )
-"""How each of `CANDIDATES` is fitted, in the order of tables."""
+"""Estimator and judgement of each of `CANDIDATES`, in the order of tables."""
 
 
 RIDGE_FORMS = ('static_ridge', 'lag_ridge', 'lag_ridge_speed')

@@ -33,7 +33,7 @@ CHAIN = (0.5, 0.7, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """What is trained on and what is held out.
+    """Runs to train on, and the held-out run.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class Split:
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """What all models left on one held-out run.
+    """Residuals of all models on one held-out run.
 
     Parameters
     ----------

@@ -71,7 +71,7 @@ def fit_filter(columns: Array, target: Array, ridge: float, anchored: bool) -> L
 
 @dataclass(frozen=True, eq=False)
 class NetworkTraining:
-    """What every model of the family is trained on.
+    """Training data of all models of the family.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is held out when models and sensors are judged: whole runs, or stretches of one run.
+"""Held-out parts by which models and sensors are judged: whole runs, or stretches of one run.
 
 A random split of samples leaks: neighbours in time are nearly equal.
 """

@@ -143,10 +143,10 @@ _GAIN_MAX = 0.97
 """Loop gain that the guard keeps the recursion below [-]."""
 
 GUARD_ROUNDS = 4
-"""How often the guard lowers the bound of the feedback before it takes the feedback out."""
+"""Attempts of the guard to lower the feedback's bound before it drops the feedback."""
 
 GUARD_STEP = 0.8
-"""What the guard multiplies the bound of the feedback by."""
+"""Factor by which the guard lowers the bound of the feedback [-]."""
 
 
 @dataclass(kw_only=True, eq=False, repr=False)

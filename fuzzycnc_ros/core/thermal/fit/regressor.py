@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What all thermal models of one channel share: input checks, prediction, streaming."""
+"""Base of the thermal models of one channel: input checks, prediction, streaming."""
 
 import copy
 from typing import Any, TypeVar

@@ -31,7 +31,7 @@ from fuzzycnc_ros.core.thermal.run import (
 from fuzzycnc_ros.core.thermal.sensor_watch import SensorCluster, SensorSelection
 
 _METHODS = ('correlation', 'grey_grade')
-"""How members of a cluster are ranked."""
+"""Rankings of the members of a cluster."""
 
 SUBSTITUTES_MAX = 4
 """Mates kept for a sensor that has the whole machine to choose from."""

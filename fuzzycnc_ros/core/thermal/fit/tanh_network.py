@@ -23,7 +23,7 @@ Going on to 1e-7 takes up to five times as long: the last of the
 way leads along a valley where no root mean square residual changes by more than 0.01 um."""
 
 FALLS = 3
-"""How many small falls in a row end Levenberg-Marquardt; one may be a step held too short."""
+"""Small falls in a row that end Levenberg-Marquardt; one may be a step held too short."""
 
 LBFGS_FALL_MIN = 1e-11
 """Fall of the cost, as a part of that of no output at all, below which L-BFGS ends [-]."""

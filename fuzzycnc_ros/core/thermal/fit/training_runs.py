@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a set of runs must fulfil before anything is learnt from it."""
+"""Requirements on a set of training runs."""
 
 from collections.abc import Sequence
 

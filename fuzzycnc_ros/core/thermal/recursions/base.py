@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a fitted model is at run time: a recursion from rises to thermal error.
+"""Recursions from rises to thermal error: fitted models at run time.
 
 Here are what all forms share, the linear form, and the forms made of others.
 
@@ -71,7 +71,7 @@ class Recursion(ABC):
     """Member of the document that lists the arrays by channels; empty: each is written whole."""
 
     STATIC: ClassVar[bool] = False
-    """Whether it holds at any interval, since it has no memory."""
+    """True if it holds at any interval, since it has no memory."""
 
     _sizes: dict[str, int]
     """Length of each axis, found when the recursion is made."""
@@ -556,7 +556,7 @@ class ParallelRecursion(Recursion):
 
     @cached_property
     def _cuts(self) -> list[slice]:
-        """Where the state of each part lies."""
+        """Return the slice of the state that belongs to each part."""
         ends = np.cumsum([len(part.initial_state()) for part in self.parts])
         starts = np.concatenate([[0], ends[:-1]])
         return [slice(first, last) for first, last in zip(starts, ends, strict=True)]
@@ -778,7 +778,7 @@ BOUND_FACTOR = 1.5
 
 
 BOUND_MIN = 1e-9
-"""What counts as the largest deformation of a channel that never moved [m]."""
+"""Smallest bound on the deformation of a channel [m]: that of one that never moved."""
 
 
 BOUND_MAX = 1.0
