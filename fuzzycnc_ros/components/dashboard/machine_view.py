@@ -113,7 +113,7 @@ _IN_FORCE = frozenset(
 
 
 @dataclass
-class _Heard:
+class _Reception:
     """Times at which a topic was received.
 
     Attributes
@@ -153,7 +153,7 @@ class MachineView:
         self.machine = machine
         self.history = History() if history is None else history
         self._newest: dict[str, Any] = {}
-        self._heard: dict[str, _Heard] = {}
+        self._heard: dict[str, _Reception] = {}
         self._nodes: dict[str, NodeReport] = {}
         self._stamp: int | None = None
         self._sequence = 0
@@ -196,7 +196,7 @@ class MachineView:
         """Note that something came on a topic, whether or not it is looked at."""
         known = self._heard.get(topic)
         if known is None:
-            self._heard[topic] = _Heard(now)
+            self._heard[topic] = _Reception(now)
         elif now > known.at:
             known.again(now)
 

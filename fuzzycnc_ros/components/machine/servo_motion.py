@@ -20,7 +20,7 @@ from fuzzycnc_ros.components.servo.servo_axes import (
     parse_axes,
     parse_plants,
 )
-from fuzzycnc_ros.components.servo.setpoints import ServoLead
+from fuzzycnc_ros.components.servo.setpoints import TrajectoryFollower
 from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryInput, TrajectoryInputConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData
 from fuzzycnc_ros.core.servo.axis import velocity_lag
@@ -317,7 +317,7 @@ class ServoMotion(Axes):
         self._plants = list(plants.values())
         self._moves, self._on = ServoMoves(self.axes, config), on
         self._drives = ServoDrives(plants, travel)
-        self._lead = ServoLead(self.axes, limits)
+        self._lead = TrajectoryFollower(self.axes, limits)
         self._per_period = 1.0 / period
         self._silence = round(config.servo_silence / period)
         self._place = [plant.position for plant in self._plants]  # told for trajectories

@@ -23,7 +23,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_bridge import LinuxcncBridge, LinuxcncBridgeConfig
-from fuzzycnc_ros.adapters.linuxcnc.status import ControllerLimits
+from fuzzycnc_ros.adapters.linuxcnc.status import ServoThreadLimits
 from fuzzycnc_ros.adapters.probing.programs import BEGIN, END
 from fuzzycnc_ros.runtime.enums import AppliedStatus, Coolant, TouchKind
 from fuzzycnc_ros.runtime.records import nanoseconds
@@ -445,7 +445,7 @@ def test_stale_and_old_owners_are_refused():
 )
 def test_limits_of_the_hal_file_are_wider(limits, text):
     rig = Rig()
-    given_limits = ControllerLimits(counts_max=limits[0], counts_rate=limits[1], hold_time=2.0)
+    given_limits = ServoThreadLimits(counts_max=limits[0], counts_rate=limits[1], hold_time=2.0)
     found = rig.bridge.refusal(given_limits, rig.controller.cycle())
     assert (text in found) if text else not found
 
@@ -453,7 +453,7 @@ def test_limits_of_the_hal_file_are_wider(limits, text):
 def test_scale_of_zero_is_refused():
     rig = Rig()
     rig.controller.scale = np.zeros(3)
-    limits = ControllerLimits(counts_max=1e4, counts_rate=1e4, hold_time=2.0)
+    limits = ServoThreadLimits(counts_max=1e4, counts_rate=1e4, hold_time=2.0)
     assert 'set [FUZZYCNC]SCALE' in rig.bridge.refusal(limits, rig.controller.cycle())
 
 

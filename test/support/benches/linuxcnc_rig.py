@@ -10,7 +10,7 @@ from benches.component_bench import Bench
 from benches.offset_thread import OffsetLimits, OffsetThread
 
 from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_bridge import LinuxcncBridge, LinuxcncBridgeConfig
-from fuzzycnc_ros.adapters.linuxcnc.status import ControllerStatus
+from fuzzycnc_ros.adapters.linuxcnc.status import LinuxcncStatus
 from fuzzycnc_ros.core.inputs.lines import Travel
 from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
 from fuzzycnc_ros.runtime.records import nanoseconds
@@ -77,7 +77,7 @@ class Controller:
         return self._status(ready)
 
     def _status(self, ready):
-        return ControllerStatus(
+        return LinuxcncStatus(
             mode=MachineMode.ON if self.on else MachineMode.OFF,
             homed=self.homed,
             ready=ready,
