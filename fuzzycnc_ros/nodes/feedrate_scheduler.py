@@ -5,7 +5,7 @@
 from fuzzycnc_msgs.srv import ScheduleProgram
 from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.ros import run
-from fuzzycnc_ros.ros.present_node import StreamingNode
+from fuzzycnc_ros.ros.streaming_node import StreamingNode
 
 
 class FeedrateSchedulerNode(StreamingNode):

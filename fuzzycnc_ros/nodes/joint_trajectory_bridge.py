@@ -26,7 +26,7 @@ from fuzzycnc_ros.components.motion.joint_trajectory_bridge import (
 )
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.clocks import wall_timer
-from fuzzycnc_ros.ros.present_node import StreamingNode
+from fuzzycnc_ros.ros.streaming_node import StreamingNode
 from fuzzycnc_ros.ros.topics import RCLPY, SUBSCRIPTION_DEPTH
 from fuzzycnc_ros.runtime.component import Answer, Emission, Health, Level
 from fuzzycnc_ros.runtime.records import Floats

@@ -102,7 +102,7 @@ class _StateFields(Fields):
     coolant: _Switch = Field(None, description='Coolant is on')
 
 
-class _ProbeFields(Fields):
+class _ProbeVariables(Fields):
     due: Annotated[_Named | None, _Role(VariableType.SWITCH, written=True)] = Field(
         None, description='A probing cycle is due: a program may call it'
     )
@@ -114,7 +114,7 @@ class _ProbeFields(Fields):
     )
 
     @model_validator(mode='after')
-    def _check_pair(self) -> '_ProbeFields':
+    def _check_pair(self) -> '_ProbeVariables':
         if (self.code is None) != (self.value is None):
             raise wrong('expected code and value, or none of them')
         return self
@@ -163,7 +163,7 @@ class ControlFields(ServerFields):
     )
     hand_shake: _HandShake = Field(description='Variables by which sets are handed over')
     state: _StateFields = Field(description='Variables with the state of the machine')
-    probe: _ProbeFields | None = Field(
+    probe: _ProbeVariables | None = Field(
         None, description='Variables of a probing cycle, if there is one'
     )
     axes: dict[str, _Axis] = Field(

@@ -13,7 +13,7 @@ from typing import Any
 
 from fuzzycnc_ros.adapters.loops import LoopThread
 from fuzzycnc_ros.adapters.opcua.session import library_trouble
-from fuzzycnc_ros.components.report.told import NO_VALUE, TOO_OLD, ReportedValue, told
+from fuzzycnc_ros.components.report.reported_values import NO_VALUE, TOO_OLD, ReportedValue, told
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.runtime.component import Health, Level
 

@@ -15,13 +15,14 @@ from rosgraph_msgs.msg import Clock
 
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.cli.live.operator_client import DISCOVERY_TIMEOUT, OperatorClient
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.ros.bring_up import NodeSpec
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos, subscription_qos
 from fuzzycnc_ros.runtime.component import LATCHED, STREAM, Durability
 from fuzzycnc_ros.runtime.convert import encode, stamp_of
-from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import (
     Compensation,
     CompensationApplied,
@@ -151,7 +152,7 @@ class _LatencyProbe:
             CompensationApplied(
                 stamp=stamp,
                 epoch=0,
-                status=int(AppliedStatus.IDLE),
+                status=int(OffsetStatus.IDLE),
                 reason='',
                 axis=axes,
                 offset=nothing,

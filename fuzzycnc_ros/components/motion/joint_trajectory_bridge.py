@@ -18,6 +18,7 @@ from fuzzycnc_ros.components.motion.joint_goal import Goal, GoalCode, GoalError
 from fuzzycnc_ros.components.motion.joint_run import JointPath, JointRun
 from fuzzycnc_ros.components.motion.joint_trajectory_config import JointTrajectoryBridgeConfig
 from fuzzycnc_ros.components.motion.sender import GRACE, MotionSender, motion_refusal
+from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryStatus
 from fuzzycnc_ros.runtime.component import (
     Answer,
     Emission,
@@ -26,7 +27,6 @@ from fuzzycnc_ros.runtime.component import (
     Level,
     Output,
 )
-from fuzzycnc_ros.runtime.enums import TrajectoryStatus
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisState,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
 
-from fuzzycnc_ros.components.report.told import SPINDLE, told
+from fuzzycnc_ros.components.report.reported_values import SPINDLE, told
 from fuzzycnc_ros.core.names import file_word, topic_words
 
 UNAVAILABLE = 'UNAVAILABLE'

@@ -21,10 +21,10 @@ from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Program
 from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
 from fuzzycnc_ros.core.feedrate.path.nodes import own_curvature
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
-from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantFeed
 from fuzzycnc_ros.core.feedrate.schedule.program_run import ScheduledPath
 from fuzzycnc_ros.core.feedrate.schedule.program_schedule import schedule_program
 from fuzzycnc_ros.core.feedrate.schedule.program_settings import AXIS_COUNT, ProgramSettings
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import ConstantFeed
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
 from fuzzycnc_ros.simulation.controller.program import (

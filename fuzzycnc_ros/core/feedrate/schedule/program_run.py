@@ -29,8 +29,8 @@ from fuzzycnc_ros.core.feedrate.path.nodes import (
 )
 from fuzzycnc_ros.core.feedrate.path.reference_path import PathBuilder, ReferencePath
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedule.plain import Scheduler
 from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import Scheduler
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.path.reference_path import ReferencePath

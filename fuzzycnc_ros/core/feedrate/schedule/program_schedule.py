@@ -514,7 +514,7 @@ class ProgramScheduler:
     --------
     >>> from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
     >>> from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader
-    >>> from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantNormalAcceleration
+    >>> from fuzzycnc_ros.core.feedrate.schedule.scheduler import ConstantNormalAcceleration
     >>> scheduler = ProgramScheduler(
     ...     ProgramSettings(
     ...         scheduler=ConstantNormalAcceleration(feed_max=0.2, normal_acceleration=0.05),
