@@ -32,13 +32,14 @@ from soak.growth import held_by
 
 from fuzzycnc_ros.cli.live.free_domain import own_domain
 from fuzzycnc_ros.cli.live.graph_processes import COMPOSED, GraphProcesses
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.ros.bring_up import THERMAL, NodeSpec
 from fuzzycnc_ros.ros.processes import prepare_environment, processor_time
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos, subscription_qos
 from fuzzycnc_ros.runtime.component import STREAM
 from fuzzycnc_ros.runtime.convert import encode
-from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     Compensation,
@@ -122,7 +123,7 @@ class Machine:
             CompensationApplied(
                 stamp=stamp,
                 epoch=self._epoch,
-                status=int(AppliedStatus.FOLLOWING if self._epoch else AppliedStatus.IDLE),
+                status=int(OffsetStatus.FOLLOWING if self._epoch else OffsetStatus.IDLE),
                 reason='',
                 axis=AXES,
                 offset=self._offset,

@@ -21,7 +21,7 @@ from time import process_time
 
 import numpy as np
 
-from fuzzycnc_ros.core.servo.baselines import CascadeController, PidController
+from fuzzycnc_ros.core.servo.pid_cascade import CascadeController, PidController
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position

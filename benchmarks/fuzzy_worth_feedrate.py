@@ -29,16 +29,16 @@ from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedule.plain import (
-    ConstantFeed,
-    ConstantNormalAcceleration,
-    Scheduler,
-)
 from fuzzycnc_ros.core.feedrate.schedule.program_schedule import (
     ScheduledPath,
     schedule_program,
 )
 from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import (
+    ConstantFeed,
+    ConstantNormalAcceleration,
+    Scheduler,
+)
 from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 from fuzzycnc_ros.core.fuzzy.mamdani import Mamdani, tabulated
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig

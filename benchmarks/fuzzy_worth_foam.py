@@ -22,8 +22,8 @@ from fuzzycnc_ros.core.deformation.training import equal_rows
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 from fuzzycnc_ros.studies.soft.foam_comparison import TrackCase
 from fuzzycnc_ros.studies.soft.foam_training import (
+    ComparedModel,
     Predictor,
-    Rival,
     baselines,
     judge_training,
     network,
@@ -65,7 +65,7 @@ def _products(inputs: int) -> Any:
     return make_pipeline(PolynomialFeatures(2), StandardScaler(), RidgeCV(penalties))
 
 
-def rivals() -> tuple[tuple[str, Rival], ...]:
+def rivals() -> tuple[tuple[str, ComparedModel], ...]:
     """Return the models, each with what stands in the place of its rules."""
     plain = {rival.label: rival for rival in baselines(FEATURES)}
     return (
@@ -74,9 +74,9 @@ def rivals() -> tuple[tuple[str, Rival], ...]:
         (LAW, network('the same network, one rule', n_rules=1, hidden=HIDDEN_ALONE)),
         (LAW, network('one linear rule', consequent='sts', n_rules=1)),
         (PLAIN, plain['plain ridge regression']),
-        (PLAIN, Rival('ridge on products of two', plain_regressor(FEATURES, _products))),
+        (PLAIN, ComparedModel('ridge on products of two', plain_regressor(FEATURES, _products))),
         (PLAIN, plain['MLP, 32 and 32 nodes']),
-        (NOTHING, Rival('no compensation', no_compensation)),
+        (NOTHING, ComparedModel('no compensation', no_compensation)),
     )
 
 

@@ -28,11 +28,11 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
 from fuzzycnc_ros.core.servo.axis import LinearAxis
 from fuzzycnc_ros.core.servo.axis_control import make_controller
-from fuzzycnc_ros.core.servo.baselines import CascadeController, PidController
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 from fuzzycnc_ros.core.servo.observer import ObserverNoise
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning, VariableUniverseParams
+from fuzzycnc_ros.core.servo.pid_cascade import CascadeController, PidController
 from fuzzycnc_ros.core.servo.profile import ProfileLimits, Reference, point_to_point
 from fuzzycnc_ros.core.servo.variable_universe import (
     ContractedSurface,

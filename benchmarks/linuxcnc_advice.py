@@ -39,7 +39,7 @@ from fuzzycnc_ros.simulation.controller.program import (
 )
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.programs.advice import Adviser, advised_program, program_with_mode
-from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath
+from fuzzycnc_ros.studies.programs.program_judge import ProgramPath, ProgramResult
 
 LIMITS = ControllerLimits(velocity=(0.4,) * 3, acceleration=(2.0,) * 3, path_velocity=0.5)
 MACHINE = ContouringConfig()
@@ -101,7 +101,7 @@ class Stand:
         if self._memory is not None:
             self._memory.write_text(json.dumps(self._found, indent=1))
 
-    def run(self, name: str, text: str, path: ProgramPath, acceleration: float) -> Judged:
+    def run(self, name: str, text: str, path: ProgramPath, acceleration: float) -> ProgramResult:
         """Run a program, if that has not been done."""
         if name not in self._found:
             self._recorder.limit(LIMITS.velocity, LIMITS.acceleration)
@@ -113,7 +113,7 @@ class Stand:
             print(f'{name}: {judged.duration:.2f} s, {1e6 * judged.error:.1f} um',
                   file=sys.stderr, flush=True)  # fmt: skip
             self._keep()
-        return Judged(**self._found[name])
+        return ProgramResult(**self._found[name])
 
 
 def compare(stand: Stand, path: Path, seconds: float, tolerance: float) -> list[tuple[str, ...]]:
@@ -145,7 +145,7 @@ def compare(stand: Stand, path: Path, seconds: float, tolerance: float) -> list[
         what, judged = rival
         rows.append(row('', f'best of the grid: {what}', judged, None))
     what = f'advised: {chosen["name"]}, {1e3 * rise:.0f} mm/s², {chosen["mode"]}'
-    rows.append(row('', what, best, Judged(**chosen['judged'])))
+    rows.append(row('', what, best, ProgramResult(**chosen['judged'])))
     gain = 1.0 - best.duration / rival[1].duration if rival else inf
     rows[-1] = (*rows[-1][:-1], f'{100.0 * gain:+.0f} %')
     return rows
@@ -164,7 +164,9 @@ def advised(program: Program, tolerance: float) -> dict[str, Any]:
     }
 
 
-def row(name: str, what: str, judged: Judged, simulated: Judged | None) -> tuple[str, ...]:
+def row(
+    name: str, what: str, judged: ProgramResult, simulated: ProgramResult | None
+) -> tuple[str, ...]:
     """Return the figures of a run, with those of the simulated controller."""
     beside = ('', '')
     if simulated is not None:

@@ -25,7 +25,7 @@ sys.path.insert(0, str(ROOT))
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly  # noqa: E402
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig  # noqa: E402
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig  # noqa: E402
-from fuzzycnc_ros.core.servo.baselines import PidController  # noqa: E402
+from fuzzycnc_ros.core.servo.pid_cascade import PidController  # noqa: E402
 from fuzzycnc_ros.core.thermal.run import ThermalRun  # noqa: E402
 from fuzzycnc_ros.simulation.motion.contouring_axes import ContouringAxes  # noqa: E402
 from fuzzycnc_ros.simulation.servo.axes import LatheAxis  # noqa: E402

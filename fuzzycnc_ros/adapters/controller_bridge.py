@@ -18,7 +18,12 @@ from fuzzycnc_ros.adapters.controller import Readout
 from fuzzycnc_ros.adapters.probing.touches import touch_of
 from fuzzycnc_ros.core.config import Config, param, same_param
 from fuzzycnc_ros.core.inputs.lines import Lines, Travel
-from fuzzycnc_ros.core.inputs.offset_input import OffsetInput, OffsetInputConfig, content_refusal
+from fuzzycnc_ros.core.inputs.offset_input import (
+    OffsetInput,
+    OffsetInputConfig,
+    OffsetStatus,
+    content_refusal,
+)
 from fuzzycnc_ros.core.inputs.offsets import AXES, describe
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
@@ -30,7 +35,7 @@ from fuzzycnc_ros.runtime.component import (
     Level,
     Output,
 )
-from fuzzycnc_ros.runtime.enums import AppliedStatus, Coolant, MachineMode
+from fuzzycnc_ros.runtime.enums import Coolant, MachineMode
 from fuzzycnc_ros.runtime.records import (
     Bools,
     Compensation,
@@ -243,7 +248,7 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         )
         yield Emission(
             'compensation_applied',
-            self._applied(AppliedStatus.REFUSED, why, self._left(), nothing > 0.0),
+            self._applied(OffsetStatus.REFUSED, why, self._left(), nothing > 0.0),
         )
 
     def renewed(self, step: int) -> tuple[Component[ConfigT], list[Emission]]:
@@ -382,7 +387,7 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
 
     def _cut_text(self, status: StatusT, cut: Bools) -> str:
         """Say which limits cut what is asked for; empty if none does."""
-        if int(self._input.status) != AppliedStatus.FOLLOWING:
+        if self._input.status is not OffsetStatus.FOLLOWING:
             return ''
         parts = []
         if np.any(cut):
@@ -430,22 +435,22 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         )
         return fresh
 
-    def _verdict(self, status: StatusT, why: str) -> tuple[AppliedStatus, str]:
+    def _verdict(self, status: StatusT, why: str) -> tuple[OffsetStatus, str]:
         """Return what is told of the commands, and why."""
         standing = describe(self._axes, status.applied, np.abs(status.applied) > CLOSE)
         if not self._active:
             if not standing:
-                return AppliedStatus.IDLE, ''
+                return OffsetStatus.IDLE, ''
             owner = f'written by {status.writer}' if status.writer else 'nobody owns it'
             if self._holding:
                 owner = self._leaving(status)
-            return AppliedStatus.REFUSED, f'inactive while {standing} stands: {owner}'
+            return OffsetStatus.REFUSED, f'inactive while {standing} stands: {owner}'
         if why:
-            return AppliedStatus.REFUSED, f'{why}; in force: {standing or "nothing"}'
+            return OffsetStatus.REFUSED, f'{why}; in force: {standing or "nothing"}'
         if self._unusable:
-            return AppliedStatus.REFUSED, self._unusable
+            return OffsetStatus.REFUSED, self._unusable
         return (
-            AppliedStatus(int(self._input.status)),
+            self._input.status,
             self._complaint(status) or self._input.reason,
         )
 
@@ -541,7 +546,7 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         )
 
     def _applied(
-        self, code: AppliedStatus, reason: str, offset: Floats, at_limit: Bools
+        self, code: OffsetStatus, reason: str, offset: Floats, at_limit: Bools
     ) -> CompensationApplied:
         return CompensationApplied(
             stamp=self._stamp,

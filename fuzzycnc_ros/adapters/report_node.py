@@ -13,7 +13,7 @@ from rclpy.node import Node
 
 from fuzzycnc_ros.components.report.machine_report import SOURCES, MachineReport
 from fuzzycnc_ros.ros.clocks import wall_timer
-from fuzzycnc_ros.ros.plain_node import PlainNode
+from fuzzycnc_ros.ros.configured_node import ConfiguredNode
 from fuzzycnc_ros.ros.topics import create_subscription, subscription_qos
 from fuzzycnc_ros.runtime.component import STREAM, Health, Level
 from fuzzycnc_ros.runtime.convert import decode
@@ -25,7 +25,7 @@ PERIOD = 1.0
 C = TypeVar('C', bound=ExecutorConfig)
 
 
-class ReportNode(PlainNode[C], Generic[C]):
+class ReportNode(ConfiguredNode[C], Generic[C]):
     """Gather what the nodes of a machine publish; hand it on once a second.
 
     Parameters

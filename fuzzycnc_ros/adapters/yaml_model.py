@@ -122,7 +122,7 @@ class Text(_Scalar):
 
 
 @dataclass(frozen=True)
-class Word(_Scalar):
+class Choice(_Scalar):
     """One of some words."""
 
     words: Sequence[str]

@@ -28,9 +28,9 @@ from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.path.reference_path import smooth_geometry
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
 from fuzzycnc_ros.core.feedrate.path.shapes import STILL_LENGTH
-from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantFeed, ConstantNormalAcceleration
 from fuzzycnc_ros.core.feedrate.schedule.program_schedule import schedule_program
 from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import ConstantFeed, ConstantNormalAcceleration
 from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 
 __all__ = [

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from fuzzycnc_ros.bags.csv_mapping import (
     LENGTH_UNITS,
     TEMPERATURE_UNITS,
-    Channel,
     CsvMapping,
+    DisplacementColumn,
 )
-from fuzzycnc_ros.bags.csv_table import Table, Times
+from fuzzycnc_ros.bags.csv_table import CsvTable, Times
 from fuzzycnc_ros.bags.csv_time import ISO8601, known_forms
 from fuzzycnc_ros.bags.errors import CsvError
 from fuzzycnc_ros.bags.metadata import LATCHED, STREAM
@@ -32,7 +32,7 @@ from fuzzycnc_ros.core.thermal.plausibility import (
     TEMPERATURE_STEP,
     WARMING_MAX,
     WARMING_MIN,
-    Lone,
+    Outlier,
     lone_values,
     odd_pace,
     offset_channels,
@@ -133,7 +133,7 @@ class ImportReport:
 
 
 @dataclass(frozen=True)
-class _Recording:
+class _ColumnData:
     """The columns in SI units; `speed` and `drives` have no columns where none is mapped."""
 
     time: NDArray[np.float64]
@@ -228,7 +228,7 @@ def import_csv(
     )
 
 
-def _remarks(table: Table, mapping: CsvMapping, times: Times) -> tuple[str, ...]:
+def _remarks(table: CsvTable, mapping: CsvMapping, times: Times) -> tuple[str, ...]:
     """Return what was recognised in a file."""
     remarks = []
     if table.units:
@@ -250,7 +250,12 @@ def _remarks(table: Table, mapping: CsvMapping, times: Times) -> tuple[str, ...]
 
 
 def _doubts(
-    table: Table, mapping: CsvMapping, sensors: list[str], recording: _Recording, *, clock: bool
+    table: CsvTable,
+    mapping: CsvMapping,
+    sensors: list[str],
+    recording: _ColumnData,
+    *,
+    clock: bool,
 ) -> tuple[str, ...]:
     """Return what looks like a mistake."""
     temperature = recording.temperature
@@ -276,7 +281,7 @@ def _doubts(
     return tuple(f'{table.path}{doubt}' for doubt in doubts)
 
 
-def _named_unit_lines(table: Table, mapping: CsvMapping, sensors: Sequence[str]) -> list[str]:
+def _named_unit_lines(table: CsvTable, mapping: CsvMapping, sensors: Sequence[str]) -> list[str]:
     """Return which columns name another unit than they are read in."""
     asked = [(name, mapping.temperature_unit, '--temperature-unit') for name in sensors]
     asked += [(item.column, item.unit, '--displacement') for item in mapping.channels]
@@ -321,7 +326,7 @@ def _temperature_line(mapping: CsvMapping, temperature: NDArray[np.float64]) -> 
 
 
 def _time_line(
-    mapping: CsvMapping, recording: _Recording, temperature: NDArray[np.float64]
+    mapping: CsvMapping, recording: _ColumnData, temperature: NDArray[np.float64]
 ) -> list[str]:
     """Return whether another unit would make the machine warm up as fast as machines do."""
     pace = odd_pace(recording.time, temperature, recording.displacement)
@@ -351,7 +356,7 @@ def _duration(seconds: float) -> str:
     return f'{seconds:.3g} s'
 
 
-def _offset_line(columns: Sequence[str], recording: _Recording) -> list[str]:
+def _offset_line(columns: Sequence[str], recording: _ColumnData) -> list[str]:
     """Return which displacements do not begin at zero, though temperatures are meant so."""
     found = offset_channels(recording.displacement, reference_rows(recording.time))
     if not found:
@@ -367,7 +372,7 @@ def _offset_line(columns: Sequence[str], recording: _Recording) -> list[str]:
 
 
 def _lone_lines(
-    table: Table, columns: Sequence[str], lone: Iterable[Lone], scale: float, unit: str
+    table: CsvTable, columns: Sequence[str], lone: Iterable[Outlier], scale: float, unit: str
 ) -> list[str]:
     """Return the values that stand alone, with line and column."""
     found = sorted(lone)
@@ -383,7 +388,7 @@ def _lone_lines(
     return lines
 
 
-def _sensor_columns(table: Table, mapping: CsvMapping) -> list[str]:
+def _sensor_columns(table: CsvTable, mapping: CsvMapping) -> list[str]:
     try:
         columns = mapping.sensor_columns(table.header)
     except CsvError as error:
@@ -396,7 +401,7 @@ def _sensor_columns(table: Table, mapping: CsvMapping) -> list[str]:
     return columns
 
 
-def _names(table: Table, mapping: CsvMapping, columns: list[str]) -> list[str]:
+def _names(table: CsvTable, mapping: CsvMapping, columns: list[str]) -> list[str]:
     names = [mapping.rename.get(column, column) for column in columns]
     repeated = repeated_names(names)
     if repeated:
@@ -408,8 +413,8 @@ def _names(table: Table, mapping: CsvMapping, columns: list[str]) -> list[str]:
 
 
 def _read(
-    table: Table, mapping: CsvMapping, sensors: list[str], time: NDArray[np.float64]
-) -> tuple[_Recording, tuple[str, ...], tuple[str, ...]]:
+    table: CsvTable, mapping: CsvMapping, sensors: list[str], time: NDArray[np.float64]
+) -> tuple[_ColumnData, tuple[str, ...], tuple[str, ...]]:
     """Return the columns, what was taken for no reading in them, and what looks like it."""
     factor, offset = TEMPERATURE_UNITS[mapping.temperature_unit]
     speed = [mapping.spindle_speed] if mapping.spindle_speed is not None else []
@@ -433,7 +438,7 @@ def _read(
         if channel.place:
             elsewhere = _places(table, channel) != channel.position
             displacement[elsewhere, column] = np.nan
-    recording = _Recording(
+    recording = _ColumnData(
         time=time,
         temperature=temperature,
         displacement=displacement * np.array([channel.scale for channel in mapping.channels]),
@@ -443,9 +448,9 @@ def _read(
     return recording, tuple(unread), tuple(unsure)
 
 
-def _placed(table: Table, mapping: CsvMapping) -> CsvMapping:
+def _placed(table: CsvTable, mapping: CsvMapping) -> CsvMapping:
     """Return the mapping with a channel for each place that a column of positions tells."""
-    channels: list[Channel] = []
+    channels: list[DisplacementColumn] = []
     for channel in mapping.channels:
         if not channel.place:
             channels.append(channel)
@@ -462,13 +467,13 @@ def _placed(table: Table, mapping: CsvMapping) -> CsvMapping:
     return replace(mapping, displacements=tuple(channels))
 
 
-def _places(table: Table, channel: Channel) -> NDArray[np.float64]:
+def _places(table: CsvTable, channel: DisplacementColumn) -> NDArray[np.float64]:
     """Return the position of each row, to the millimetre [m]."""
     position = _columns(table, [channel.place])[:, 0] * LENGTH_UNITS[channel.place_unit]
     return np.asarray(np.round(position, 3) + 0.0)  # no minus zero
 
 
-def _channel_names(table: Table, mapping: CsvMapping) -> list[str]:
+def _channel_names(table: CsvTable, mapping: CsvMapping) -> list[str]:
     """Return the name of each channel; one of several places of a column tells which it is."""
     columns = [channel.column for channel in mapping.channels]
     once = list(dict.fromkeys(columns))
@@ -481,7 +486,7 @@ def _channel_names(table: Table, mapping: CsvMapping) -> list[str]:
     ]
 
 
-def _columns(table: Table, names: list[str]) -> NDArray[np.float64]:
+def _columns(table: CsvTable, names: list[str]) -> NDArray[np.float64]:
     if not names:
         return np.empty((len(table.rows), 0))
     values = np.stack([table.column(name) for name in names], axis=1)
@@ -496,7 +501,7 @@ def _columns(table: Table, names: list[str]) -> NDArray[np.float64]:
 
 
 def _check_temperatures(
-    table: Table, mapping: CsvMapping, sensors: list[str], values: NDArray[np.float64]
+    table: CsvTable, mapping: CsvMapping, sensors: list[str], values: NDArray[np.float64]
 ) -> None:
     """Refuse temperatures that no machine has, and name the unit that would fit."""
     low, high = temperature_range(SensorLimits.of(mapping.sensor_limits), sensors)
@@ -523,7 +528,7 @@ def _check_temperatures(
     )
 
 
-def _check_displacements(table: Table, mapping: CsvMapping, recording: _Recording) -> None:
+def _check_displacements(table: CsvTable, mapping: CsvMapping, recording: _ColumnData) -> None:
     """Refuse displacements that no machine makes, and name the unit that would fit."""
     values = recording.displacement
     far = np.argwhere(np.abs(values) > DISPLACEMENT_MAX)
@@ -563,7 +568,7 @@ def _span(values: NDArray[np.float64]) -> float:
     return float((np.nanmax(held, axis=0) - np.nanmin(held, axis=0)).max())
 
 
-def _zeroed(recording: _Recording) -> _Recording:
+def _zeroed(recording: _ColumnData) -> _ColumnData:
     first = recording.displacement[: reference_rows(recording.time)]
     count = np.isfinite(first).sum(axis=0)
     total = np.nansum(first, axis=0)
@@ -571,7 +576,7 @@ def _zeroed(recording: _Recording) -> _Recording:
     return replace(recording, displacement=recording.displacement - zero)
 
 
-def _resampled(path: Path, recording: _Recording, interval: float) -> _Recording:
+def _resampled(path: Path, recording: _ColumnData, interval: float) -> _ColumnData:
     """Return samples on an even grid, each the mean of the readings up to it."""
     time = recording.time
     block = max(1, round(interval / float(np.median(np.diff(time)))))
@@ -595,7 +600,7 @@ def _resampled(path: Path, recording: _Recording, interval: float) -> _Recording
     temperature, displacement, speed, drives = (
         block_means(time, values, interval, block, count) for values in columns
     )
-    return _Recording(
+    return _ColumnData(
         time=fine * (block * np.arange(1, count + 1, dtype=np.float64) - 1.0),
         temperature=temperature,
         displacement=displacement,
@@ -606,7 +611,7 @@ def _resampled(path: Path, recording: _Recording, interval: float) -> _Recording
 
 
 def _emptied_line(
-    path: Path, time: NDArray[np.float64], samples: _Recording, interval: float
+    path: Path, time: NDArray[np.float64], samples: _ColumnData, interval: float
 ) -> tuple[str, ...]:
     """Return that the asked interval leaves samples without readings, which come more rarely."""
     longer = sample_interval(time)
@@ -622,7 +627,7 @@ def _emptied_line(
 def _write(
     out: Path,
     mapping: CsvMapping,
-    recording: _Recording,
+    recording: _ColumnData,
     stamps: NDArray[np.int64],
     sensors: list[str],
     channels: list[str],
@@ -695,7 +700,7 @@ def _write(
                 )
 
 
-def _told(mapping: CsvMapping, recording: _Recording) -> dict[str, Any]:
+def _told(mapping: CsvMapping, recording: _ColumnData) -> dict[str, Any]:
     """Return fields of `machine_state` by row that say what else the control told.
 
     Motion is told as counters; what is told as it is holds from one row to the next.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from fuzzycnc_ros.bags.csv_table import Table, read_table
+from fuzzycnc_ros.bags.csv_table import CsvTable, read_table
 from fuzzycnc_ros.bags.csv_time import ISO8601, strptime_form, zone_of
 from fuzzycnc_ros.bags.errors import CsvError
 from fuzzycnc_ros.core.thermal.run import DRIVE_NAME, DRIVE_NAMES
@@ -26,7 +26,7 @@ _MACHINE = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
 
 
 @dataclass(frozen=True)
-class Channel:
+class DisplacementColumn:
     """A displacement column.
 
     Parameters
@@ -73,7 +73,7 @@ class Channel:
         return self.sign * LENGTH_UNITS[self.unit]
 
 
-def parse_channel(text: str) -> Channel:
+def parse_channel(text: str) -> DisplacementColumn:
     """Return the channel that a text such as `ch1=X:um` or `probe 2=-Y:mm` describes.
 
     Behind an `@` it says where on the axis that is: `ch1=X:um@-400mm`, or in which column of the
@@ -105,7 +105,7 @@ def parse_channel(text: str) -> Channel:
             raise CsvError(
                 f'displacement: expected a number behind @ but found {text!r}'
             ) from None
-    return Channel(
+    return DisplacementColumn(
         match['column'],
         match['axis'],
         match['unit'],
@@ -137,7 +137,7 @@ class CsvMapping:
         Columns that have another meaning are never matched by a pattern.
     temperature_unit : {'degC', 'K', 'degF'}
         Unit of the temperatures.
-    displacements : sequence of Channel or str
+    displacements : sequence of DisplacementColumn or str
         Displacement columns, as texts in the form of `parse_channel`.
     spindle_speed : str, optional
         Spindle-speed column.
@@ -180,7 +180,7 @@ class CsvMapping:
     temperatures: Sequence[str] = ()
     temperature_unit: str = 'degC'
     sensor_limits: Sequence[str] = ()
-    displacements: Sequence[Channel | str] = ()
+    displacements: Sequence[DisplacementColumn | str] = ()
     spindle_speed: str | None = None
     spindle_speed_unit: str = 'rpm'
     drives: Mapping[str, str] = field(default_factory=dict)
@@ -228,15 +228,18 @@ class CsvMapping:
             raise CsvError(f'epoch: expected 0 to 2^31 s but found {self.epoch}')
         if not _MACHINE.fullmatch(self.machine):
             raise CsvError(f'machine: expected letters, digits and _ but found {self.machine!r}')
-        channels = [c if isinstance(c, Channel) else parse_channel(c) for c in self.displacements]
+        channels = [
+            c if isinstance(c, DisplacementColumn) else parse_channel(c)
+            for c in self.displacements
+        ]
         object.__setattr__(self, 'displacements', tuple(channels))
 
     @property
-    def channels(self) -> tuple[Channel, ...]:
+    def channels(self) -> tuple[DisplacementColumn, ...]:
         """The displacement columns."""
-        return tuple(c for c in self.displacements if isinstance(c, Channel))
+        return tuple(c for c in self.displacements if isinstance(c, DisplacementColumn))
 
-    def table(self, path: Path) -> Table:
+    def table(self, path: Path) -> CsvTable:
         """Read the rows of a file that the mapping selects.
 
         Raises

@@ -91,7 +91,7 @@ class Times:
 
 
 @dataclass(frozen=True)
-class Table:
+class CsvTable:
     """The rows of a CSV file as text.
 
     Parameters
@@ -352,7 +352,7 @@ def read_table(
     decimal: str = '.',
     header: bool = True,
     rows: tuple[int, int] | None = None,
-) -> Table:
+) -> CsvTable:
     """Read the rows of a CSV file.
 
     Lines that begin with # above the table are notes; the last of them names the columns where
@@ -391,7 +391,7 @@ def read_table(
     numbers, cells = numbers[begin : end + 1], cells[begin : end + 1]
     if len(cells) < SAMPLES_MIN:
         raise CsvError(f'{path}: expected at least {SAMPLES_MIN} rows but found {len(cells)}')
-    return Table(path, names, numbers, cells, decimal, begin, units)
+    return CsvTable(path, names, numbers, cells, decimal, begin, units)
 
 
 def _read_rows(

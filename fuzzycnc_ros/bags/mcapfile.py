@@ -24,9 +24,9 @@ from fuzzycnc_ros.bags.libraries import load
 from fuzzycnc_ros.bags.storage import (
     TOPICS_MAX,
     Attachment,
-    Block,
     Channel,
     Contents,
+    MessageBlock,
     RawMessage,
     check_regular,
 )
@@ -321,7 +321,9 @@ class McapFile:
         counts = self.statistics if self.statistics is not None else self._indexed()
         return Contents(
             channels=self.channels,
-            blocks=[Block(c.start, c.stop, c.size, partial(self.read, c)) for c in self.chunks],
+            blocks=[
+                MessageBlock(c.start, c.stop, c.size, partial(self.read, c)) for c in self.chunks
+            ],
             promised=None if counts is None else self.topic_counts(counts),
             repeated=self.repeated_counts(counts or {}),
             metadata=self.metadata,

@@ -32,7 +32,7 @@ from fuzzycnc_ros.bags.metadata import (
     storage_files,
 )
 from fuzzycnc_ros.bags.sqlitefile import SqliteFile
-from fuzzycnc_ros.bags.storage import Attachment, Block, Contents, RawMessage
+from fuzzycnc_ros.bags.storage import Attachment, Contents, MessageBlock, RawMessage
 from fuzzycnc_ros.runtime.provenance import MESSAGE_SET
 
 _QOS_MAX = 1000
@@ -465,7 +465,7 @@ class BagReader:
             for place, (part, block) in enumerate(every)
             if (start is None or block.stop >= start) and (stop is None or block.start < stop)
         ]
-        group: list[tuple[int, int, Block]] = []
+        group: list[tuple[int, int, MessageBlock]] = []
         group_stop = 0
         for entry in sorted(blocks, key=lambda entry: entry[2].start):
             block = entry[2]
@@ -476,7 +476,7 @@ class BagReader:
             group.append(entry)
         yield from self._merged(group)
 
-    def _merged(self, group: list[tuple[int, int, Block]]) -> list[RawMessage]:
+    def _merged(self, group: list[tuple[int, int, MessageBlock]]) -> list[RawMessage]:
         """Return the messages of blocks that overlap in time, sorted together."""
         expected = (
             f'{self.path}: expected chunks one after the other in time but {len(group)} of them, '

@@ -141,7 +141,7 @@ class Notice(NamedTuple):
     text: str
 
 
-class _Item(NamedTuple):
+class _QueuedMessage(NamedTuple):
     topic: str
     payload: bytes
     log_time: int
@@ -351,8 +351,8 @@ class RecordingThread:
         self._notices: deque[Notice] = deque(maxlen=_NOTICES_MAX)
         self._pending_max = pending_max
         self._on_error = on_error
-        self._queue: deque[_Item] = deque()
-        self._untimed: list[_Item] = []  # not in the queue yet
+        self._queue: deque[_QueuedMessage] = deque()
+        self._untimed: list[_QueuedMessage] = []  # not in the queue yet
         self._jobs: deque[Callable[[], None]] = deque()
         self._types: dict[str, str] = {}
         self._pending_bytes = 0
@@ -467,7 +467,9 @@ class RecordingThread:
             if self._gap is not None:
                 self._gap.stop, self._gap, self._gap_told = stamp, None, False
             sent = stamp if publish_time is None else publish_time
-            item = _Item(topic, payload, stamp, sent, sequence or 0, sender, time.monotonic())
+            item = _QueuedMessage(
+                topic, payload, stamp, sent, sequence or 0, sender, time.monotonic()
+            )
             self._pending_bytes += len(payload)
             if log_time is None:
                 self._untimed.append(item)
@@ -667,7 +669,7 @@ class RecordingThread:
             return error
         return None
 
-    def _write(self, batch: list[_Item]) -> tuple[int, BagError | None]:
+    def _write(self, batch: list[_QueuedMessage]) -> tuple[int, BagError | None]:
         """Write a batch; return how many messages were written and why no more."""
         written = 0
         try:

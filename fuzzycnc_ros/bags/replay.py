@@ -210,7 +210,7 @@ def replay(
     if no configuration of it is in the bag: `identical` is said of all of them or of none.
     """
     with BagReader(path) as reader:
-        recording = _Recording(reader)
+        recording = _BagMessages(reader)
     wanted = [name for name in recording.nodes if not nodes or name.split('/')[-1] in nodes]
     if not wanted:
         raise ReplayError(
@@ -320,7 +320,7 @@ class _SeriesEnd:
         return found
 
 
-class _Recording:
+class _BagMessages:
     """The messages of a bag, by topic."""
 
     def __init__(self, reader: BagReader) -> None:
@@ -563,7 +563,7 @@ class _ComponentReplay:
     failure = ''
     """Why its outputs could not be recomputed."""
 
-    def __init__(self, recording: _Recording, name: str) -> None:
+    def __init__(self, recording: _BagMessages, name: str) -> None:
         self._recording = recording
         self._space, node = name.rsplit('/', 1)
         configurations = recording.nodes[name]

@@ -27,7 +27,7 @@ DISPLACEMENT_TYPE = 'fuzzycnc_msgs/msg/Displacement'
 _STATUS_OK = 0
 
 
-class Series(NamedTuple):
+class TopicSeries(NamedTuple):
     """Samples of one topic.
 
     Parameters
@@ -120,7 +120,7 @@ def read_run(
             reader, displacement, DISPLACEMENT_TYPE, machine if namespace is None else namespace
         )
         sources = speed_topics(reader, machine if namespace is None else namespace)
-        temperature = Samples(source, topic, ('sensor',), 'sensor')
+        temperature = SampleCollector(source, topic, ('sensor',), 'sensor')
         moving = Displacements(source, other)
         told: list[tuple[str, int, float]] = []
         driven: list[tuple[int, dict[str, float], dict[str, float]]] = []
@@ -215,7 +215,7 @@ def read_temperatures(
     with BagReader(source) as reader:
         topic = find_topic(reader, 'temperatures', TEMPERATURES_TYPE, namespace)
         sources = speed_topics(reader, topic.rpartition('/')[0])
-        samples = Samples(source, topic, ('sensor',), 'sensor')
+        samples = SampleCollector(source, topic, ('sensor',), 'sensor')
         told: list[tuple[str, int, float]] = []
         for kind, _, _, message in reader.messages([topic, *sources]):
             if kind in sources:
@@ -282,7 +282,7 @@ def find_topic(reader: BagReader, name: str, type_name: str, namespace: str | No
     return topic
 
 
-class Samples:
+class SampleCollector:
     """The samples of a topic as they come, with the name arrays, which must stay the same.
 
     Parameters
@@ -341,7 +341,7 @@ class Samples:
                 f'{", ".join(repeated)} more than once'
             )
 
-    def series(self) -> Series:
+    def series(self) -> TopicSeries:
         """Return all samples."""
         stamp = np.array(self._stamps, dtype=np.int64)
         backwards = np.flatnonzero(np.diff(stamp) <= 0)
@@ -353,10 +353,10 @@ class Samples:
                 'runs, or two publishers'
             )
         names = tuple(tuple(entry) for entry in self._names)
-        return Series(stamp, names, np.array(self._rows, dtype=np.float64))
+        return TopicSeries(stamp, names, np.array(self._rows, dtype=np.float64))
 
 
-class Displacements(Samples):
+class Displacements(SampleCollector):
     """The displacements of a topic as they come, each with the place where it was measured.
 
     Where places are told, an axis may be measured at one after the other: each place is a channel
@@ -408,7 +408,7 @@ class Displacements(Samples):
         axes = list(dict.fromkeys(axis for axis, _ in self._places))
         return sorted(self._places, key=lambda key: (axes.index(key[0]), key[1]))
 
-    def series(self) -> Series:
+    def series(self) -> TopicSeries:
         """Return all samples."""
         if not self._told:
             return super().series()
@@ -439,7 +439,7 @@ def _absolute(topic: str) -> str:
     return '/' + '/'.join(part for part in topic.split('/') if part)
 
 
-def _join(stamp: NDArray[np.int64], moved: Series, average: bool) -> NDArray[np.float64]:
+def _join(stamp: NDArray[np.int64], moved: TopicSeries, average: bool) -> NDArray[np.float64]:
     """Return the displacement of each stamp: the newest, or the mean, since the stamp before."""
     last = np.searchsorted(moved.stamp, stamp, side='right')
     first = np.concatenate([[0], last[:-1]])

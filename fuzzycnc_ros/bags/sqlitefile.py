@@ -12,9 +12,9 @@ from urllib.parse import quote
 from fuzzycnc_ros.bags.errors import BagFormatError
 from fuzzycnc_ros.bags.storage import (
     TOPICS_MAX,
-    Block,
     Channel,
     Contents,
+    MessageBlock,
     RawMessage,
     check_regular,
 )
@@ -93,9 +93,9 @@ class SqliteFile:
             promised[self._channel(identifier).topic] += count
         return Contents(list(self._channels.values()), blocks, promised)
 
-    def _blocks(self) -> list[Block]:
+    def _blocks(self) -> list[MessageBlock]:
         """Return the messages in blocks, of as many rows as are read in one go."""
-        blocks: list[Block] = []
+        blocks: list[MessageBlock] = []
         found: list[list[int]] = []
         total = 0
         # Sizes are looked up row by row: a GROUP BY would drag all messages through memory.
@@ -110,11 +110,11 @@ class SqliteFile:
             total += numbers[2]
         return [*blocks, self._block(found, total)] if found else blocks
 
-    def _block(self, rows: list[list[int]], size: int) -> Block:
+    def _block(self, rows: list[list[int]], size: int) -> MessageBlock:
         """Return a block of rows: number, time and size of each."""
         times = [time for _, time, _ in rows]
         read = partial(self._read, rows[0][0], rows[-1][0])
-        return Block(min(times), max(times), size, read)
+        return MessageBlock(min(times), max(times), size, read)
 
     def _tables(self) -> set[str]:
         """Return the names of the tables; a view could keep a query busy for ever."""

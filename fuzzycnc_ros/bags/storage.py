@@ -57,7 +57,7 @@ class RawMessage(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Block:
+class MessageBlock:
     """Messages that are read in one go: a chunk, or a run of records or rows.
 
     Parameters
@@ -99,7 +99,7 @@ class Contents:
     ----------
     channels : list of Channel
         All channels, also those without messages.
-    blocks : list of Block
+    blocks : list of MessageBlock
         All messages, in file order.
     promised : dict of str to int, optional
         Messages on each topic as the file's own index states; None if it has none.
@@ -112,7 +112,7 @@ class Contents:
     """
 
     channels: list[Channel] = field(default_factory=list)
-    blocks: list[Block] = field(default_factory=list)
+    blocks: list[MessageBlock] = field(default_factory=list)
     promised: dict[str, int] | None = None
     repeated: dict[str, int] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)

@@ -26,7 +26,7 @@ from fuzzycnc_ros.cli.remedies import command_with, sentence
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.core.remedies import remedied
 from fuzzycnc_ros.ros.presence import GraphError
-from fuzzycnc_ros.ros.processes import Wish, interruptible
+from fuzzycnc_ros.ros.processes import StopRequest, interruptible
 from fuzzycnc_ros.ros.streams import steady_streams
 from fuzzycnc_ros.uninterrupted import uninterrupted
 
@@ -60,7 +60,7 @@ class CommandGroup:
 
 
 @dataclass(frozen=True)
-class Later:
+class LazyCommand:
     """A command, or a group of them, whose module is imported when it is used.
 
     Parameters
@@ -85,7 +85,7 @@ class Later:
         return getattr(module, name) if name else CommandGroup(module.HELP, module.COMMANDS)
 
 
-Commands = Mapping[str, Callable[..., Any] | CommandGroup | Later]
+Commands = Mapping[str, Callable[..., Any] | CommandGroup | LazyCommand]
 """Commands in the order of the help; each one's docstring is its manual."""
 
 
@@ -147,9 +147,9 @@ class Application:
             def get_command(self, ctx: Any, cmd_name: str) -> Any:
                 """Return a command, None if there is none of that name."""
                 command = commands.get(cmd_name)
-                if isinstance(command, Later) and self._listing:
+                if isinstance(command, LazyCommand) and self._listing:
                     return TyperCommand(cmd_name, help=command.help)
-                if isinstance(command, Later) and cmd_name not in self.commands:
+                if isinstance(command, LazyCommand) and cmd_name not in self.commands:
                     holder = typer.Typer(rich_markup_mode=None, context_settings=_SETTINGS)
                     _add(holder, {cmd_name: command.load()})
                     self.commands.update(typer.main.get_group(holder).commands)
@@ -172,7 +172,7 @@ class Application:
 
             def format_commands(self, ctx: Any, formatter: Any) -> None:
                 """Write what each command does, by jobs, without loading any."""
-                later = {n: item for n, item in commands.items() if isinstance(item, Later)}
+                later = {n: item for n, item in commands.items() if isinstance(item, LazyCommand)}
                 for job in dict.fromkeys(item.job for item in later.values()):
                     with formatter.section(job):
                         formatter.write_dl(
@@ -191,10 +191,13 @@ class Application:
             rich_markup_mode=None,
             context_settings=_SETTINGS,
         )
-        _add(self.typer, {n: item for n, item in commands.items() if not isinstance(item, Later)})
+        _add(
+            self.typer,
+            {n: item for n, item in commands.items() if not isinstance(item, LazyCommand)},
+        )
         self.typer.callback()(_common)
 
-    def run(self, arguments: Sequence[str], wish: Wish | None = None) -> int:
+    def run(self, arguments: Sequence[str], wish: StopRequest | None = None) -> int:
         """Carry out a command line and return its exit code.
 
         An error that nobody can name, after a wish to end, is what became of the wish in a library
@@ -279,7 +282,7 @@ def _drop_unwritten() -> None:
         os.close(nowhere)
 
 
-class _Command(TyperCommand):
+class _RemedyCommand(TyperCommand):
     """A command that says what helps in its own options."""
 
     def invoke(self, ctx: Any) -> Any:
@@ -304,7 +307,7 @@ def _add(to: typer.Typer, commands: Mapping[str, Callable[..., Any] | CommandGro
             _add(group, command.commands)
             to.add_typer(group, name=name, help=text, short_help=short)
         else:
-            to.command(name, cls=_Command, help=text, short_help=short)(command)
+            to.command(name, cls=_RemedyCommand, help=text, short_help=short)(command)
 
 
 def _common(

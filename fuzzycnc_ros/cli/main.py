@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Entry point of the command `fuzzycnc`: its subcommands."""
 
-from fuzzycnc_ros.cli.application import Application, Commands, Later
+from fuzzycnc_ros.cli.application import Application, Commands, LazyCommand
 
 HELP = """Measure, predict and compensate the thermal error of a CNC machine.
 
@@ -47,147 +47,147 @@ Patterns on soft material, compensated before they are stitched:
 """
 
 COMMANDS: Commands = {
-    'demo': Later(
+    'demo': LazyCommand(
         'Try',
         'fuzzycnc_ros.cli.demo.command:demo',
         'Watch a simulated mill warm up for two shifts while its thermal error is compensated.',
     ),
-    'simulate': Later(
+    'simulate': LazyCommand(
         'Try',
         'fuzzycnc_ros.cli.models.simulate:simulate',
         'Run a thermal shift of the simulated mill in one process, much faster than live.',
     ),
-    'sensors': Later(
+    'sensors': LazyCommand(
         'Calibrate',
         'fuzzycnc_ros.cli.sensors.command',
         'Read sensors for the first time, and find those that are off.',
     ),
-    'import-csv': Later(
+    'import-csv': LazyCommand(
         'Calibrate',
         'fuzzycnc_ros.cli.bags.import_csv:import_csv',
         'Import the recording of a real machine from a CSV table into a bag.',
     ),
-    'train': Later(
+    'train': LazyCommand(
         'Calibrate',
         'fuzzycnc_ros.cli.models.train:train',
         'Train thermal models on recorded runs, and write them with their scores to one file.',
     ),
-    'evaluate': Later(
+    'evaluate': LazyCommand(
         'Calibrate',
         'fuzzycnc_ros.cli.models.evaluate:evaluate',
         "Compare a model's predictions with what was measured, beside plain baselines.",
     ),
-    'compare': Later(
+    'compare': LazyCommand(
         'Calibrate',
         'fuzzycnc_ros.cli.models.compare:compare',
         'Compare all models on runs that none of them has seen.',
     ),
-    'curve': Later(
+    'curve': LazyCommand(
         'Calibrate',
         'fuzzycnc_ros.cli.models.curve:curve',
         'Show how the error on unseen runs falls with the number of sensors.',
     ),
-    'model': Later(
+    'model': LazyCommand(
         'Calibrate',
         'fuzzycnc_ros.cli.models.model',
         'Show, compare and hand on what probes have taught of a machine.',
     ),
-    'fleet': Later(
+    'fleet': LazyCommand(
         'Calibrate',
         'fuzzycnc_ros.cli.fleet.command',
         'Train, compare, evaluate and report over thousands of bags of many machines.',
     ),
-    'up': Later(
+    'up': LazyCommand(
         'Run',
         'fuzzycnc_ros.cli.live.up:up',
         'Bring up and supervise the graph of one machine or several; Ctrl-C takes all of it down.',
     ),
-    'operate': Later(
+    'operate': LazyCommand(
         'Run',
         'fuzzycnc_ros.cli.live.operate',
         'Operate a running machine: status, activate, set limits, reference, probe and mark.',
     ),
-    'probe': Later(
+    'probe': LazyCommand(
         'Run',
         'fuzzycnc_ros.cli.live.probe',
         'Write the program by which a control probes its own thermal error.',
     ),
-    'linuxcnc': Later(
+    'linuxcnc': LazyCommand(
         'Run',
         'fuzzycnc_ros.cli.live.linuxcnc',
         'Install and check what a LinuxCNC needs for offsets along its axes.',
     ),
-    'watch': Later(
+    'watch': LazyCommand(
         'Run',
         'fuzzycnc_ros.cli.live.watch:watch',
         'Watch a running machine in the terminal: state, offsets, sensors, probes, alarms.',
     ),
-    'service': Later(
+    'service': LazyCommand(
         'Run',
         'fuzzycnc_ros.cli.live.service',
         'Run a machine as a service of systemd: from boot on, watched, started anew.',
     ),
-    'record': Later(
+    'record': LazyCommand(
         'Run',
         'fuzzycnc_ros.cli.bags.record:record',
         'Record the topics of a live machine, undecoded, until Ctrl-C.',
     ),
-    'replay': Later(
+    'replay': LazyCommand(
         'Run',
         'fuzzycnc_ros.cli.bags.replay:replay',
         'Recompute the outputs in a bag from its inputs, and compare them byte by byte.',
     ),
-    'info': Later(
+    'info': LazyCommand(
         'Run',
         'fuzzycnc_ros.cli.bags.info:info',
         'Show what is in a bag: topics, counts, types, times, attachments, and what is wrong.',
     ),
-    'report': Later(
+    'report': LazyCommand(
         'Run',
         'fuzzycnc_ros.cli.reports.thermal',
         'Reports on recordings, as pages and as PDF.',
     ),
-    'advise': Later(
+    'advise': LazyCommand(
         'Part programs',
         'fuzzycnc_ros.cli.programs.advise:advise',
         'Show which settings keep a contour tolerance on LinuxCNC, and recommend the fastest.',
     ),
-    'schedule': Later(
+    'schedule': LazyCommand(
         'Part programs',
         'fuzzycnc_ros.cli.programs.schedule:schedule',
         'Choose the feeds of a part program, so that the contour error keeps a tolerance.',
     ),
-    'pareto': Later(
+    'pareto': LazyCommand(
         'Part programs',
         'fuzzycnc_ros.cli.programs.pareto:pareto',
         'Show what contour error each scheduling method leaves, and in what time.',
     ),
-    'machine': Later(
+    'machine': LazyCommand(
         'Axes',
         'fuzzycnc_ros.cli.axes.machine',
         'Write down what is known of your machine, in one file for all commands.',
     ),
-    'position': Later(
+    'position': LazyCommand(
         'Axes',
         'fuzzycnc_ros.cli.axes.position:position',
         'Move a simulated axis to a position and judge how it gets there.',
     ),
-    'servo': Later(
+    'servo': LazyCommand(
         'Axes',
         'fuzzycnc_ros.cli.axes.servo',
         'Compare, learn, tune and judge controllers that position an axis.',
     ),
-    'soft': Later(
+    'soft': LazyCommand(
         'Soft material',
         'fuzzycnc_ros.cli.soft.command',
         'Compensate patterns and designs on soft material: show, train, compensate, learn.',
     ),
-    'schema': Later(
+    'schema': LazyCommand(
         'For developers',
         'fuzzycnc_ros.cli.schema:schema',
         'Print the JSON Schema of a configuration file, so that editors complete and check it.',
     ),
-    'security': Later(
+    'security': LazyCommand(
         'For developers',
         'fuzzycnc_ros.cli.live.security',
         'Write access rights: each node may do what it needs, and nobody else anything.',

@@ -5,10 +5,10 @@
 from fuzzycnc_msgs.srv import ScheduleProgram
 from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.ros import run
-from fuzzycnc_ros.ros.present_node import PresentNode
+from fuzzycnc_ros.ros.streaming_node import StreamingNode
 
 
-class FeedrateSchedulerNode(PresentNode):
+class FeedrateSchedulerNode(StreamingNode):
     """Serve the scheduler and its service."""
 
     component: FeedrateScheduler

@@ -20,13 +20,13 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from fuzzycnc_ros.components.motion.joint_goal import GoalCode, goal_arguments
 from fuzzycnc_ros.components.motion.joint_trajectory_bridge import (
+    GoalResult,
     JointStates,
     JointTrajectoryBridge,
-    Outcome,
 )
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.clocks import wall_timer
-from fuzzycnc_ros.ros.present_node import PresentNode
+from fuzzycnc_ros.ros.streaming_node import StreamingNode
 from fuzzycnc_ros.ros.topics import RCLPY, SUBSCRIPTION_DEPTH
 from fuzzycnc_ros.runtime.component import Answer, Emission, Health, Level
 from fuzzycnc_ros.runtime.records import Floats
@@ -37,7 +37,7 @@ FRAMES_DEPTH = 100
 """Frames that are kept for a slow reader, as tf2's own broadcasters do."""
 
 
-class JointTrajectoryBridgeNode(PresentNode):
+class JointTrajectoryBridgeNode(StreamingNode):
     """Serve the bridge, its action and its topic, and tell the frames."""
 
     component: JointTrajectoryBridge
@@ -133,10 +133,10 @@ class JointTrajectoryBridgeNode(PresentNode):
             text = (
                 'multi_dof_trajectory: expected none, since each joint is an axis, but found one'
             )
-            self._note(Outcome(name, GoalCode.INVALID_JOINTS, text))
+            self._note(GoalResult(name, GoalCode.INVALID_JOINTS, text))
         elif asked.component_path_tolerance or asked.component_goal_tolerance:
             text = 'component tolerances: expected none, since no joint has components'
-            self._note(Outcome(name, GoalCode.INVALID_GOAL, text))
+            self._note(GoalResult(name, GoalCode.INVALID_GOAL, text))
         else:
             arguments = goal_arguments(
                 name,
@@ -166,7 +166,7 @@ class JointTrajectoryBridgeNode(PresentNode):
         for outcome in self.component.take_outcomes():
             self._note(outcome)
 
-    def _note(self, outcome: Outcome) -> None:
+    def _note(self, outcome: GoalResult) -> None:
         """Tell the sender of a goal how it ended; of the topic's, the log."""
         if outcome.goal in self._handles:
             self._handles[outcome.goal][1].set_result(outcome)

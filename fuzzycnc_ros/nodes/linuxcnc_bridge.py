@@ -7,16 +7,16 @@ from fuzzycnc_ros.adapters.controller import Controller
 from fuzzycnc_ros.adapters.linuxcnc.control import Linuxcnc, LinuxcncError, linuxcnc_runs
 from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_bridge import LinuxcncBridge
 from fuzzycnc_ros.adapters.linuxcnc.status import (
-    ControllerLimits,
     ControllerOutput,
-    ControllerStatus,
+    LinuxcncStatus,
+    ServoThreadLimits,
 )
 from fuzzycnc_ros.ros import run
 
 SOON = 0.002
 """Wall time [s] between two cycles while LinuxCNC is on its way: the read-back comes sooner."""
 
-LinuxcncController = Controller[ControllerStatus, ControllerOutput, ControllerLimits]
+LinuxcncController = Controller[LinuxcncStatus, ControllerOutput, ServoThreadLimits]
 
 
 class LinuxcncBridgeNode(ControllerBridgeNode):

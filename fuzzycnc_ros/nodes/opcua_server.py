@@ -21,7 +21,7 @@ class OpcuaServerNode(ReportNode[OpcuaServerConfig]):
 
     def __init__(self, node: Node) -> None:
         super().__init__(node, OpcuaServerConfig)
-        from fuzzycnc_ros.adapters.opcua.report_server import Entry, ReportServer
+        from fuzzycnc_ros.adapters.opcua.report_server import ReportServer, ServerAccess
 
         config = self._config
         files = {
@@ -45,7 +45,7 @@ class OpcuaServerNode(ReportNode[OpcuaServerConfig]):
                 check_secret(paths['private_key'], 'private_key')
             except ValueError as error:
                 raise ParameterError(str(error)) from error
-            entry = Entry(paths['certificate'], paths['private_key'], *credentials)
+            entry = ServerAccess(paths['certificate'], paths['private_key'], *credentials)
         self._server = ReportServer(
             self._machine, config.listen, config.port, config.age_max, entry
         )

@@ -28,8 +28,8 @@ from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.bag_node import bag_refused, closed_on_failure, pattern
 from fuzzycnc_ros.ros.clocks import wall_timer
+from fuzzycnc_ros.ros.configured_node import ConfiguredNode
 from fuzzycnc_ros.ros.parameters import ParameterError
-from fuzzycnc_ros.ros.plain_node import PlainNode
 from fuzzycnc_ros.ros.presence import check_alone
 from fuzzycnc_ros.ros.run import tell_error
 from fuzzycnc_ros.ros.sequencer import Sequencer
@@ -50,7 +50,7 @@ ACKNOWLEDGE_TIMEOUT = 5.0
 """Wall time [s] that readers get for the last messages."""
 
 
-class PlayerNode(PlainNode[PlayerConfig]):
+class PlayerNode(ConfiguredNode[PlayerConfig]):
     """Play a bag until its end, or for ever."""
 
     def __init__(self, node: Node) -> None:

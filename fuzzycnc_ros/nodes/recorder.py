@@ -29,9 +29,9 @@ from fuzzycnc_ros.core.names import text_hash, visible
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.bag_node import bag_refused, check_keeping, closed_on_failure, pattern
 from fuzzycnc_ros.ros.clocks import LogClock, SteadyClock, wall_timer
+from fuzzycnc_ros.ros.configured_node import ConfiguredNode
 from fuzzycnc_ros.ros.executor import hand_over
 from fuzzycnc_ros.ros.parameters import ParameterError
-from fuzzycnc_ros.ros.plain_node import PlainNode
 from fuzzycnc_ros.ros.run import tell_error
 from fuzzycnc_ros.ros.topics import (
     RCLPY,
@@ -70,7 +70,7 @@ RECORDER_PATIENCE = 25.0
 """Wall time [s] a turn waits for announced messages; below the sequencer's own timeout."""
 
 
-class RecorderNode(PlainNode[RecorderConfig]):
+class RecorderNode(ConfiguredNode[RecorderConfig]):
     """Record every matching topic as it appears."""
 
     def __init__(self, node: Node) -> None:

@@ -17,7 +17,7 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.motion.limits import reachable_speed
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
 from fuzzycnc_ros.core.feedrate.path.windows import window_maximum
-from fuzzycnc_ros.core.feedrate.schedule.plain import (
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import (
     CURVATURE_FLOOR,
     WHOLE_PATH,
     Reach,

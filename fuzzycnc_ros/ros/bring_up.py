@@ -13,7 +13,7 @@ from typing import Any
 
 from fuzzycnc_ros.components.thermal.axis_trust import CAUTIOUS
 from fuzzycnc_ros.core.names import file_word
-from fuzzycnc_ros.ros.parameter_files import Section, parameter_files, sections, unread
+from fuzzycnc_ros.ros.parameter_files import ParameterSection, parameter_files, sections, unread
 from fuzzycnc_ros.ros.presence import BODY, MACHINE, RIVALS, TIME_SOURCES, GraphError
 
 BANNER = (
@@ -183,7 +183,7 @@ def known_nodes() -> tuple[str, ...]:
 
 
 def page_spec(
-    port: int | None, record: Path | None = None, read: Sequence[Section] = ()
+    port: int | None, record: Path | None = None, read: Sequence[ParameterSection] = ()
 ) -> NodeSpec:
     """Return the node of the live page, which stands outside of all machines.
 
@@ -193,7 +193,7 @@ def page_spec(
         Port to serve it at; its parameter where that is left out.
     record : Path, optional
         Bag of the run; those beside it are offered on the page unless a file names a folder.
-    read : sequence of Section
+    read : sequence of ParameterSection
         What parameter files say.
     """
     named = any('bags' in part.names for part in read if part.reaches(f'/{PAGE}'))

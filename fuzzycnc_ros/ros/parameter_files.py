@@ -23,7 +23,7 @@ _ANY = {'**': '(?:/[^/]+)*', '*': '/[^/]+'}
 
 
 @dataclass(frozen=True)
-class Section:
+class ParameterSection:
     """Parameters in a file, and the nodes that they are for.
 
     Attributes
@@ -68,7 +68,7 @@ def parameter_files(folder: Path | None, named: str = '') -> list[Path]:
     return files
 
 
-def sections(files: Sequence[Path]) -> list[Section]:
+def sections(files: Sequence[Path]) -> list[ParameterSection]:
     """Return the sections of parameter files.
 
     Raises
@@ -77,7 +77,7 @@ def sections(files: Sequence[Path]) -> list[Section]:
         If one is no YAML or holds no parameters, in which ROS finds less to name; the message
         names the line.
     """
-    found: list[Section] = []
+    found: list[ParameterSection] = []
     for file in files:
         root = compose(file, 'a ROS parameter file')
         for key, value in _items(root):
@@ -92,13 +92,13 @@ def sections(files: Sequence[Path]) -> list[Section]:
     return found
 
 
-def _sections(file: Path, key: Any, value: Any, above: str) -> Iterator[Section]:
+def _sections(file: Path, key: Any, value: Any, above: str) -> Iterator[ParameterSection]:
     """Yield the sections from a key on, which is part of a node's name."""
     name = above + ''.join(f'/{part}' for part in str(key.value).split('/') if part)
     for below, content in _items(value):
         if below.value == _PARAMETERS:
             names = frozenset(str(item.value) for item, _ in _items(content))
-            yield Section(file, key.start_mark.line + 1, name, names)
+            yield ParameterSection(file, key.start_mark.line + 1, name, names)
         else:
             yield from _sections(file, below, content, name)
 
@@ -109,7 +109,10 @@ def _items(node: Any) -> Sequence[tuple[Any, Any]]:
 
 
 def unread(
-    folder: Path, found: Sequence[Section], running: Collection[str], known: Collection[str]
+    folder: Path,
+    found: Sequence[ParameterSection],
+    running: Collection[str],
+    known: Collection[str],
 ) -> list[str]:
     """Say what of a folder no node of a graph reads, in a line for each cause.
 
@@ -117,7 +120,7 @@ def unread(
     ----------
     folder : Path
         The folder.
-    found : sequence of Section
+    found : sequence of ParameterSection
         The sections of its files.
     running : collection of str
         Full names of the nodes that are started.

@@ -174,7 +174,7 @@ def _end_after(seconds: int, code: int) -> Callable[[], object]:
     return partial(library.timer_delete, timer)
 
 
-class Wish:
+class StopRequest:
     """Request to end, as this process has received it.
 
     Attributes
@@ -244,13 +244,13 @@ def heard_wishes() -> list[signal.Signals]:
 
 
 @contextmanager
-def interruptible() -> Iterator[Wish]:
+def interruptible() -> Iterator[StopRequest]:
     """Let the wishes to end raise `Interrupted`, a KeyboardInterrupt, in the main thread alone.
 
     A shell starts what runs in its background with SIGINT ignored, and a parent may hold signals
     back; Python takes both as they are.  That would leave nothing but SIGKILL to end a process.
     """
-    wish = Wish()
+    wish = StopRequest()
     wishes = heard_wishes()
     before = {number: signal.signal(number, wish.hear) for number in wishes}
     mask = signal.pthread_sigmask(signal.SIG_UNBLOCK, wishes)

@@ -27,7 +27,7 @@ from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.ros.presence import GraphError, Presence
 from fuzzycnc_ros.ros.processes import (
     REFUSED,
-    Wish,
+    StopRequest,
     end,
     ending_within,
     interruptible,
@@ -122,7 +122,9 @@ def run(makers: Sequence[HostFactory], arguments: Sequence[str] | None = None) -
         return 0
 
 
-def _spin(makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: Wish) -> int:
+def _spin(
+    makers: Sequence[HostFactory], arguments: Sequence[str] | None, wish: StopRequest
+) -> int:
     """Run nodes until a wish to end is heard or one is done; return the exit code."""
     hosts: list[Served] = []
     executor: SingleThreadedExecutor | None = None

@@ -70,25 +70,6 @@ class CompensationState(IntEnum):
     EXPIRED = 4
 
 
-class AppliedStatus(IntEnum):
-    """States of the machine side's offset input, `CompensationApplied.STATUS_*`."""
-
-    IDLE = 0
-    FOLLOWING = 1
-    EXPIRED = 2
-    REFUSED = 3
-
-
-class TrajectoryStatus(IntEnum):
-    """States of the machine side's trajectory input, `TrajectoryState.STATUS_*`."""
-
-    IDLE = 0
-    FOLLOWING = 1
-    FINISHED = 2
-    STARVED = 3
-    REFUSED = 4
-
-
 class ServoStatus(IntEnum):
     """States of the position controllers, `ServoState.STATUS_*`."""
 

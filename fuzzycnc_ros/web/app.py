@@ -98,7 +98,7 @@ class Recordings(Protocol):
 
 
 @dataclass(frozen=True)
-class Page:
+class LivePage:
     """All that the page is made of.
 
     Attributes
@@ -125,11 +125,11 @@ class Page:
     hosts: Collection[str] = ()
 
 
-def page_app(page: Page) -> Starlette:
+def page_app(page: LivePage) -> Starlette:
     """Return the application that serves a page."""
 
     def at(
-        path: str, answer: Callable[[Page, Request], Awaitable[Response]], method: str = 'GET'
+        path: str, answer: Callable[[LivePage, Request], Awaitable[Response]], method: str = 'GET'
     ) -> Route:
         async def endpoint(request: Request) -> Response:
             return await answer(page, request)
@@ -155,11 +155,11 @@ def page_app(page: Page) -> Starlette:
     )
 
 
-async def _front(page: Page, request: Request) -> Response:
+async def _front(page: LivePage, request: Request) -> Response:
     return FileResponse(STATIC / 'index.html', headers={'Cache-Control': 'no-cache'})
 
 
-async def _history(page: Page, request: Request) -> Response:
+async def _history(page: LivePage, request: Request) -> Response:
     machine, query = request.path_params['machine'], request.query_params
     if machine not in page.machines.machines:
         return _no_machine(page, machine)
@@ -193,11 +193,11 @@ def _bounded(text: str) -> float:
     return value
 
 
-async def _bags(page: Page, request: Request) -> Response:
+async def _bags(page: LivePage, request: Request) -> Response:
     return JSONResponse(await run_in_threadpool(page.recordings.listed))
 
 
-async def _bag(page: Page, request: Request) -> Response:
+async def _bag(page: LivePage, request: Request) -> Response:
     found = await run_in_threadpool(page.recordings.archive, request.path_params['name'])
     if found is None:
         return _no_bag()
@@ -206,7 +206,7 @@ async def _bag(page: Page, request: Request) -> Response:
     return StreamingResponse(chunks, media_type='application/x-tar', headers=attachment)
 
 
-async def _report(page: Page, request: Request) -> Response:
+async def _report(page: LivePage, request: Request) -> Response:
     found = await run_in_threadpool(page.recordings.report, request.path_params['name'])
     if found is None:
         return refused(404, 'no report of that bag; write one with fuzzycnc evaluate --report')
@@ -218,7 +218,7 @@ async def _report(page: Page, request: Request) -> Response:
     return response
 
 
-async def _act(page: Page, request: Request) -> Response:
+async def _act(page: LivePage, request: Request) -> Response:
     machine, action = request.path_params['machine'], request.path_params['action']
     if not page.token.shown(request.headers):
         return refused(
@@ -254,7 +254,7 @@ async def _body(request: Request) -> dict[str, Any]:
     return found
 
 
-async def _live(page: Page, socket: WebSocket) -> None:
+async def _live(page: LivePage, socket: WebSocket) -> None:
     """Send a page what is new until it closes, says too much, or takes too long."""
     frames = page.frames
     if frames.clients >= PAGES_MAX:
@@ -289,7 +289,7 @@ async def _listen(socket: WebSocket) -> None:
         return
 
 
-def _no_machine(page: Page, machine: str) -> Response:
+def _no_machine(page: LivePage, machine: str) -> Response:
     known = ', '.join(sorted(page.machines.machines)) or 'none yet'
     return refused(404, f'expected a machine of {known} but found {visible(machine[:100])!r}')
 

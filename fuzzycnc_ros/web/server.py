@@ -13,7 +13,7 @@ from typing import Any
 
 import uvicorn
 
-from fuzzycnc_ros.web.app import Machines, Page, Recordings, page_app
+from fuzzycnc_ros.web.app import LivePage, Machines, Recordings, page_app
 from fuzzycnc_ros.web.connections import WatchedConnection, WatchedSocket
 from fuzzycnc_ros.web.guard import Token
 from fuzzycnc_ros.web.live import Frames
@@ -67,7 +67,7 @@ class PageServer:
         self._socket = _listening(address, port)
         self._loop = asyncio.new_event_loop()
         self._frames = Frames()
-        page = Page(machines, self._frames, recordings, token, address, hosts)
+        page = LivePage(machines, self._frames, recordings, token, address, hosts)
         scheme = 'http' if certificate is None else 'https'
         shown = f'[{address}]' if ':' in address else address
         self.url = f'{scheme}://{shown}:{self._socket.getsockname()[1]}/'

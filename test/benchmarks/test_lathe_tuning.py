@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
-from fuzzycnc_ros.core.servo.baselines import PidController
+from fuzzycnc_ros.core.servo.pid_cascade import PidController
 from fuzzycnc_ros.core.servo.stability import spectral_radii
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 from fuzzycnc_ros.simulation.servo.lathe_axes import LatheMove

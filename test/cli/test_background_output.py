@@ -17,7 +17,7 @@ from tiers import rest_slow
 
 from fuzzycnc_ros.cli.background_output import BackgroundOutput
 from fuzzycnc_ros.cli.live import supervision_view
-from fuzzycnc_ros.cli.live.supervision_view import View
+from fuzzycnc_ros.cli.live.supervision_view import ProcessView
 
 LINES = 5000
 """More than a pipe and the queue hold."""
@@ -113,7 +113,7 @@ def test_the_table_waits_for_its_reader(terminal, monkeypatch):
     reading, stream = terminal
     fill(stream)
     output = Counting(stream)
-    with View(Console(file=output, force_terminal=True, width=80)) as view:
+    with ProcessView(Console(file=output, force_terminal=True, width=80)) as view:
         view.tell('first')
         before = output.writes
         for _ in range(100):

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rules import for_each
+from each_case import for_each
 
 from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
 from fuzzycnc_ros.core.thermal.run import ThermalRun

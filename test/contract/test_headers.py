@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from rules import for_each
+from each_case import for_each
 
 ROOT = Path(__file__).parents[2]
 HEADER = ('Copyright The fuzzycnc authors', 'SPDX-License-Identifier: Apache-2.0')

@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from rules import for_each
+from each_case import for_each
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / 'fuzzycnc_ros'

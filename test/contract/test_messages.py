@@ -8,8 +8,8 @@ from operator import attrgetter
 from pathlib import Path
 
 import interfaces
+from each_case import for_each
 from interfaces import FILES, FOLDER, Field
-from rules import for_each
 
 from fuzzycnc_ros.registry import COMPONENTS
 

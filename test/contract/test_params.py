@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from rules import for_each
+from each_case import for_each
 
 ROOT = Path(__file__).parents[2]
 TABLES = runpy.run_path(str(ROOT / 'tools' / 'make_tables.py'))

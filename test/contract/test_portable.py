@@ -6,7 +6,7 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
-from rules import for_each
+from each_case import for_each
 
 PACKAGE = Path(__file__).parents[2] / 'fuzzycnc_ros'
 

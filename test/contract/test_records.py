@@ -10,10 +10,11 @@ from typing import Any, get_type_hints
 import interfaces
 import numpy as np
 import pytest
-from rules import for_each
+from each_case import for_each
 
 from fuzzycnc_ros.core.deformation.compensation import StepFlag
 from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
+from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryStatus
 from fuzzycnc_ros.runtime import enums as codes
 from fuzzycnc_ros.runtime import host as host_records
 from fuzzycnc_ros.runtime import records
@@ -50,12 +51,11 @@ ENUMS = [
     ('MachineState', 'COOLANT', codes.Coolant),
     ('ThermalError', 'REASON', codes.Reason),
     ('Compensation', 'STATE', codes.CompensationState),
-    ('CompensationApplied', 'STATUS', codes.AppliedStatus),
     ('CompensationApplied', 'STATUS', OffsetStatus),
     ('MachineState', 'STATE', codes.MachineMode),
     ('ToolPath', 'KIND', codes.SegmentKind),
     ('ToolPath', 'JUNCTION', codes.Junction),
-    ('TrajectoryState', 'STATUS', codes.TrajectoryStatus),
+    ('TrajectoryState', 'STATUS', TrajectoryStatus),
     ('ServoState', 'STATUS', codes.ServoStatus),
     ('StitchPattern', 'KIND', codes.PrimitiveKind),
     ('CompensatedPath', 'FLAG', StepFlag),

@@ -9,7 +9,7 @@ from operator import attrgetter
 import interfaces
 import numpy as np
 import pytest
-from rules import for_each
+from each_case import for_each
 
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.runtime.merge import EPOCH_MAX, PARALLEL, misfit

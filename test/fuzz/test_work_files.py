@@ -15,7 +15,7 @@ from fuzzing.campaign import SEEDS, fuzz, refusal, refused_or_read
 from fuzzing.file_mutations import damaged, mutated_bytes
 from hypothesis import given
 
-from fuzzycnc_ros.cli.soft.compensate import Job, shifted_points, shifted_program
+from fuzzycnc_ros.cli.soft.compensate import PathCompensator, shifted_points, shifted_program
 from fuzzycnc_ros.core.deformation.model import read_model
 from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial
 from fuzzycnc_ros.core.identify.robustness import AxisModels
@@ -114,7 +114,7 @@ def test_stitches(folder, seed):
     file = folder / 'stitches.csv'
     file.write_bytes(damaged('\n'.join(['x_mm,y_mm,kind,turn', *rows]), rng))
     written = []
-    job = Job(*job_parts(), 6e-3, 3e-3)
+    job = PathCompensator(*job_parts(), 6e-3, 3e-3)
     if not refusal(ValueError, lambda: written.append(shifted_points(file, job))):
         header, *lines = csv.reader(StringIO(written[0]))
         places = [header.index(name) for name in ('x_mm', 'y_mm', 'offset_x_mm', 'offset_y_mm')]
@@ -161,7 +161,7 @@ def test_stitched_programs(folder, seed):
     file = folder / 'quilt.ngc'
     file.write_bytes(damaged(PROGRAM, random.Random(seed)))
     written = []
-    job = Job(*job_parts(), 6e-3, 3e-3)
+    job = PathCompensator(*job_parts(), 6e-3, 3e-3)
     if not refusal(ValueError, lambda: written.append(shifted_program(file, 'mm', job))):
         assert 'nan' not in written[0].lower() or 'nan' in file.read_text(errors='replace').lower()
 
@@ -188,7 +188,7 @@ def test_the_tables_themselves_are_read(folder, make):
 def test_the_stitches_themselves_are_shifted(folder):
     file = folder / 'good.ngc'
     file.write_text(PROGRAM)
-    text = shifted_program(file, 'mm', Job(*job_parts(), 6e-3, 3e-3))
+    text = shifted_program(file, 'mm', PathCompensator(*job_parts(), 6e-3, 3e-3))
     assert text.count('\n') > 30
 
 

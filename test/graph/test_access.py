@@ -15,7 +15,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed here: run `make test
 import rclpy
 
 from fuzzycnc_ros.bags.writer import BagWriter
-from fuzzycnc_ros.cli.live.operator_client import Operator
+from fuzzycnc_ros.cli.live.operator_client import OperatorClient
 from fuzzycnc_ros.cli.live.supervision_monitor import Monitor
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros.access import (
@@ -215,7 +215,7 @@ def test_the_page_has_what_it_needs(created):
 
 
 def test_the_operator_may_create_what_it_creates_and_ask_every_node(created):
-    with Operator('mill') as operator:
+    with OperatorClient('mill') as operator:
         has = settled(operator.node, OPERATOR, '/mill')
     assert denied(has, allowed(OPERATOR)) == set()
     monitor = Monitor(['mill'])

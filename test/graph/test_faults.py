@@ -10,7 +10,8 @@ import pytest
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.components.machine.simulated_machine_config import DAY_START
 from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
-from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
+from fuzzycnc_ros.runtime.enums import CompensationState
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     Compensation,
@@ -134,7 +135,7 @@ def test_compensator_dies(graph, observer, model_file):
     assert last.offset.any()
     shift.check_limits()
     expired = [item for item in shift.applied if item.stamp > last.valid_until]
-    assert AppliedStatus(expired[0].status) is AppliedStatus.EXPIRED
+    assert OffsetStatus(expired[0].status) is OffsetStatus.EXPIRED
     assert expired[0].offset.any()
     longest = np.abs(last.offset).max() / MACHINE.slew_max
     rested = [i for i in expired if i.stamp > last.valid_until + (longest + 40) * SECOND]

@@ -18,7 +18,7 @@ pytest.importorskip('starlette', reason="the page needs pip install 'fuzzycnc_ro
 from processes import children, free_port
 
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
-from fuzzycnc_ros.runtime.enums import AppliedStatus
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.runtime.records import SECOND, CompensationApplied
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
@@ -75,7 +75,7 @@ def test_nodes_that_get_no_more_memory(graph, observer, model_file, tmp_path):
         heard = len(applied) + 3
         # Offsets themselves pass zero as the duty goes on.
         observer.until(
-            lambda n=heard: len(applied) > n and applied[-1].status == AppliedStatus.FOLLOWING,
+            lambda n=heard: len(applied) > n and applied[-1].status == OffsetStatus.FOLLOWING,
             f'the machine follows after {node}, found {applied[-1]}, {up.output}',
         )
     for before, after in pairwise(applied):

@@ -17,7 +17,8 @@ from equipment.field_servers import LOCAL, Field, Route
 from equipment.opcua_machine import AXES, FILE, ControlServer, LineControl, control_file
 from equipment.secured_server import PINNING, secured, user_file
 
-from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import (
     MachineState,
 )
@@ -120,7 +121,7 @@ def rig(graph, observer, shop, tmp_path):
 def test_follows_a_line_tells_and_ramps_to_zero(rig):
     rig.control.spindle_speed = 3000.0
     rig.start(active=False)
-    assert (rig.last.status, rig.last.reason) == (AppliedStatus.IDLE, '')
+    assert (rig.last.status, rig.last.reason) == (OffsetStatus.IDLE, '')
     rig.command((5, 5))
     assert rig.change(CONFIGURE)
     assert rig.change(ACTIVATE)
@@ -129,7 +130,7 @@ def test_follows_a_line_tells_and_ramps_to_zero(rig):
     assert rig.states[-1].state == MachineMode.ON
     assert '/mill/opcua_bridge' in rig.control.owner
     rig.settle((10, -20))
-    assert rig.last.status == AppliedStatus.FOLLOWING
+    assert rig.last.status == OffsetStatus.FOLLOWING
     rig.command((10, -20), slope=(1e-4, 0), reference=(0.1, 0))
     rig.until(lambda: rig.at((0, -20)), 'the line at zero')
     rig.control.position = np.array([0.3, 0.0])
@@ -137,7 +138,7 @@ def test_follows_a_line_tells_and_ramps_to_zero(rig):
     rig.until(lambda: abs(rig.states[-1].position[0] - 0.3) < 1e-9, 'position')
     assert rig.control.slope[0] == pytest.approx(1e-4)
     assert rig.change(DEACTIVATE)
-    rig.until(lambda: rig.at((0, 0)) and rig.last.status == AppliedStatus.IDLE, 'at zero')
+    rig.until(lambda: rig.at((0, 0)) and rig.last.status == OffsetStatus.IDLE, 'at zero')
     rig.until(lambda: rig.control.sequence == 0 and not rig.control.owner, 'given back')
     assert not rig.allowed
 
@@ -164,7 +165,7 @@ def test_the_control_forbids_and_limits(rig):
     assert 'cut at the limit of Z 12.00 um' in rig.last.reason
     rig.command((70, 0), valid=1.0)
     rig.until(lambda: rig.at((60, 0)) and rig.last.at_limit[0], 'cut at our limit')
-    rig.until(lambda: rig.last.status == AppliedStatus.EXPIRED and rig.at((0, 0)), 'expires')
+    rig.until(lambda: rig.last.status == OffsetStatus.EXPIRED and rig.at((0, 0)), 'expires')
 
 
 @watched

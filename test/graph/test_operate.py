@@ -15,11 +15,11 @@ from processes import HANG, wait_for
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.cli.live import operate, operator_client, supervision_monitor
 from fuzzycnc_ros.cli.main import run
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.ros.recording import is_recorded
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode, stamp_of
-from fuzzycnc_ros.runtime.enums import AppliedStatus
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     CompensationApplied,
@@ -77,7 +77,7 @@ def applied(observer, offset):
     record = CompensationApplied(
         stamp=SECOND,
         epoch=1,
-        status=int(AppliedStatus.FOLLOWING),
+        status=int(OffsetStatus.FOLLOWING),
         reason='',
         axis=('Y',),
         offset=np.array([offset]),

@@ -12,8 +12,8 @@ import pytest
 from processes import children
 
 from fuzzycnc_ros.bags.repair import repair
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.ros.topics import message_class
-from fuzzycnc_ros.runtime.enums import AppliedStatus
 from fuzzycnc_ros.runtime.host import RecorderProgress
 from fuzzycnc_ros.runtime.records import CompensationApplied, MachineState
 
@@ -58,7 +58,7 @@ def test_only_the_recording_suffers(graph, observer, model_file, tmp_path):
     observer.until(another.get_subscription_count, 'the recorder reads it')
     begun, taken = len(applied), progress[-1].received
     observer.until(lambda: len(applied) > begun + 20, 'the machine goes on')
-    assert {item.status for item in applied[begun:]} == {AppliedStatus.FOLLOWING}
+    assert {item.status for item in applied[begun:]} == {OffsetStatus.FOLLOWING}
     observer.until(lambda: progress[-1].received > taken + 100, 'messages are taken')
     assert up.interrupt(signal.SIGTERM) == 1
     (line,) = [text for text in up.output.splitlines() if text.startswith('error: ')]

@@ -11,7 +11,7 @@ import pytest
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantNormalAcceleration
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import ConstantNormalAcceleration
 from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 from fuzzycnc_ros.core.fuzzy.mamdani import MamdaniTable
 from fuzzycnc_ros.papers.feedrate import FuzzyScheduler, JerkLimitedFeed, published_feed_rules

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
-from fuzzycnc_ros.core.servo.baselines import PidController
 from fuzzycnc_ros.core.servo.params import VariableUniverseParams
+from fuzzycnc_ros.core.servo.pid_cascade import PidController
 from fuzzycnc_ros.core.servo.rule_learning import learn_rules, records_of_run
 from fuzzycnc_ros.core.servo.rule_table import SETS, RuleTableWarning, published_rules
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController

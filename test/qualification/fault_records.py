@@ -9,7 +9,8 @@ from campaign.evidence import Evidence, Recorded, Window
 from campaign.scenario import BY_MACHINE, Scenario
 from campaign.verdict import judge
 
-from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
+from fuzzycnc_ros.runtime.enums import CompensationState
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     Compensation,
@@ -57,7 +58,7 @@ def command(stamp, offset=5.0, state=CompensationState.ACTIVE, epoch=1):
     )
 
 
-def applied(stamp, offset=5.0, status=AppliedStatus.FOLLOWING):
+def applied(stamp, offset=5.0, status=OffsetStatus.FOLLOWING):
     """Return a read-back of an offset [um]."""
     return CompensationApplied(
         stamp=stamp,

@@ -19,7 +19,8 @@ from campaign.verdict import judge
 from fuzzycnc_ros.components.motion.tool_paths import curve_tool_path
 from fuzzycnc_ros.core.deformation.compensation import StepFlag
 from fuzzycnc_ros.core.feedrate.path.curves import trident
-from fuzzycnc_ros.runtime.enums import ServoStatus, TrajectoryStatus
+from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryStatus
+from fuzzycnc_ros.runtime.enums import ServoStatus
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisCommand,

@@ -17,7 +17,8 @@ from campaign.table import result_tables
 from campaign.verdict import Verdict, judge
 from fault_records import SCENARIO, TICK, applied, command, error, evidence_of, judged
 
-from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
+from fuzzycnc_ros.runtime.enums import CompensationState
 from fuzzycnc_ros.runtime.records import SECOND
 
 
@@ -63,7 +64,7 @@ def test_a_step_before_the_window_is_none_of_its_business():
         (lambda tick: {'thermal_error': error(tick * TICK, valid=False)}, BY_COMPENSATOR),
         (
             lambda tick: {
-                'compensation_applied': applied(tick * TICK, status=AppliedStatus.EXPIRED)
+                'compensation_applied': applied(tick * TICK, status=OffsetStatus.EXPIRED)
             },
             BY_MACHINE,
         ),
@@ -90,7 +91,7 @@ def test_the_time_to_safe_is_that_of_the_side_which_has_to_make_it_safe():
             'compensation': command(tick * TICK, state=CompensationState.HOLDING),
             'compensation_applied': applied(
                 tick * TICK,
-                status=AppliedStatus.EXPIRED if tick in range(20, 25) else AppliedStatus.FOLLOWING,
+                status=OffsetStatus.EXPIRED if tick in range(20, 25) else OffsetStatus.FOLLOWING,
             ),
         }
 
@@ -107,7 +108,7 @@ def test_nothing_is_known_of_a_time_without_a_recorder():
     def change(tick):
         later = 0 if tick < 30 else 3000 * SECOND
         stamp = tick * TICK + later
-        status = AppliedStatus.EXPIRED if tick == 30 else AppliedStatus.FOLLOWING
+        status = OffsetStatus.EXPIRED if tick == 30 else OffsetStatus.FOLLOWING
         return {
             'thermal_error': error(stamp),
             'compensation': command(stamp),

@@ -23,11 +23,11 @@ from equipment.field_servers import Field
 from equipment.opcua_machine import AXES, FILE, ControlServer, LineControl, control_file
 from live_graph import parameter_file, ros_arguments
 
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.ros.bring_up import NodeSpec
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode
-from fuzzycnc_ros.runtime.enums import AppliedStatus
 from fuzzycnc_ros.runtime.host import NodeEvent
 from fuzzycnc_ros.runtime.records import SECOND, CompensationApplied, ThermalError
 
@@ -140,7 +140,7 @@ class Loop:
 
     def arrives(self):
         self.until(
-            lambda: self.stands_at(WANTED) and self.applied[-1].status == AppliedStatus.FOLLOWING,
+            lambda: self.stands_at(WANTED) and self.applied[-1].status == OffsetStatus.FOLLOWING,
             'the offset is in force',
         )
 
@@ -184,7 +184,7 @@ def test_clock_of_the_computer_is_set(loop, step):
     loop.until(
         lambda: any(
             abs(item.stamp - time.time_ns() - step * SECOND) < 60 * SECOND
-            and item.status == AppliedStatus.FOLLOWING
+            and item.status == OffsetStatus.FOLLOWING
             for item in loop.applied[heard:]
         ),
         'followed by the new clock',

@@ -14,7 +14,8 @@ from equipment.bridge_rig import ACTIVATE, CONFIGURE, DEACTIVATE, MICRON, Bridge
 from equipment.linuxcnc_machine import LinuxcncMachine, exclusive
 from processes import KEPT
 
-from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import (
     SECOND,
 )
@@ -85,19 +86,19 @@ def rig(graph, observer, controller):
 
 def test_follows_tells_and_ramps_to_zero(rig):
     rig.start(active=False)
-    assert (rig.last.status, rig.last.reason) == (AppliedStatus.IDLE, '')
+    assert (rig.last.status, rig.last.reason) == (OffsetStatus.IDLE, '')
     assert not rig.allowed
     rig.command((5, 5, 5))
     assert rig.change(CONFIGURE)
     assert rig.change(ACTIVATE)
     rig.until(lambda: rig.allowed, 'allowed')
     rig.settle((10, -20, 30))
-    assert rig.last.status == AppliedStatus.FOLLOWING
+    assert rig.last.status == OffsetStatus.FOLLOWING
     np.testing.assert_allclose(rig.position(), MICRON * np.array([10, -20, 30]), atol=CLOSE)
     np.testing.assert_allclose(rig.states[-1].position, 0.0, atol=1e-9)
     assert rig.states[-1].state == MachineMode.ON
     assert rig.change(DEACTIVATE)
-    rig.until(lambda: rig.at((0, 0, 0)) and rig.last.status == AppliedStatus.IDLE, 'at zero')
+    rig.until(lambda: rig.at((0, 0, 0)) and rig.last.status == OffsetStatus.IDLE, 'at zero')
     assert not rig.allowed
     path = np.array([item.offset for item in rig.applied])
     stamps = np.array([item.stamp for item in rig.applied]) / SECOND
@@ -232,7 +233,7 @@ def test_own_limits_and_expiry(rig):
     rig.until(lambda: rig.at((60, 0, 0)) and rig.last.at_limit[0], 'cut')
     rig.command((10, 0, 0), valid=1.0)
     rig.until(lambda: rig.at((10, 0, 0)), 'follows')
-    rig.until(lambda: rig.last.status == AppliedStatus.EXPIRED and rig.at((0, 0, 0)), 'expires')
+    rig.until(lambda: rig.last.status == OffsetStatus.EXPIRED and rig.at((0, 0, 0)), 'expires')
 
 
 def test_refuses_to_start_beside_another_writer(rig):
@@ -265,7 +266,7 @@ def test_killed_bridge_leaves_no_offset_and_a_new_one_goes_on(rig):
     rig.refused('nobody owns it')
     assert rig.change(CONFIGURE)
     assert rig.change(ACTIVATE)
-    rig.until(lambda: rig.last.status == AppliedStatus.FOLLOWING, 'taken over')
+    rig.until(lambda: rig.last.status == OffsetStatus.FOLLOWING, 'taken over')
     rig.observer.spin_for(6.5)  # longer than HOLD_TIME
     np.testing.assert_allclose([item.offset[1] for item in rig.applied[seen:]], 30e-6, atol=CLOSE)
     np.testing.assert_allclose(rig.position(), place, atol=CLOSE)

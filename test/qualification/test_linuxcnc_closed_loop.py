@@ -12,7 +12,8 @@ from equipment.linuxcnc_machine import exclusive
 from rich.console import Console
 
 from fuzzycnc_ros.cli.demo.linuxcnc import linuxcnc_demo
-from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.studies.linuxcnc_duty import ClosedLoopLog
 from fuzzycnc_ros.studies.shift.shift_log import ShiftLog
 
@@ -51,5 +52,5 @@ def test_residual_of_a_duty_through_linuxcnc(tmp_path, monkeypatch):
     place = np.array([dict(zip(s.axis, s.position, strict=True))['Y'] for s in states])
     assert np.ptp(place) > 19e-3
     applied = log.records('compensation_applied', start=moved[3].stamp)
-    refused = [item for item in applied if item.status == AppliedStatus.REFUSED]
+    refused = [item for item in applied if item.status == OffsetStatus.REFUSED]
     assert not refused, refused[0]

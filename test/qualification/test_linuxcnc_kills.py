@@ -18,10 +18,10 @@ from benches.component_bench import thermal_error
 from equipment.linuxcnc_machine import LinuxcncMachine, exclusive
 from equipment.linuxcnc_offsets import OffsetTrace, fastest
 
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode
-from fuzzycnc_ros.runtime.enums import AppliedStatus
 from fuzzycnc_ros.runtime.records import Compensation, CompensationApplied, ThermalError
 
 pytestmark = [pytest.mark.ros, pytest.mark.realtime, pytest.mark.qualify]
@@ -160,7 +160,7 @@ def test_killed_compensator(loop):
     first = loop.compensator()
     loop.midway()
     loop.graph.kill(first)
-    loop.until(lambda: loop.applied[-1].status == AppliedStatus.EXPIRED, 'expired')
+    loop.until(lambda: loop.applied[-1].status == OffsetStatus.EXPIRED, 'expired')
     top = loop.offset
     loop.until(lambda: MICRON < loop.offset < top - 3 * MICRON, 'on the way to zero')
     assert 'expired; going to zero' in loop.applied[-1].reason
@@ -206,7 +206,7 @@ def test_killed_linuxcnc(loop):
     loop.compensator()
     loop.midway()
     loop.controller.kill()
-    loop.until(lambda: loop.applied[-1].status == AppliedStatus.REFUSED, 'told')
+    loop.until(lambda: loop.applied[-1].status == OffsetStatus.REFUSED, 'told')
     assert 'LinuxCNC' in loop.applied[-1].reason
     assert not loop.applied[-1].offset.any()
     refused = 'refused by the machine: LinuxCNC'
@@ -228,7 +228,7 @@ def test_clock_is_set_while_offsets_move(loop, step):
         said = partial(loop.observer.told, f'mill/{node}: clock', 'the clock stepped by')
         loop.until(said, f'{node} says it')
     loop.arrives()
-    assert loop.applied[-1].status == AppliedStatus.FOLLOWING
+    assert loop.applied[-1].status == OffsetStatus.FOLLOWING
     loop.check()
 
 
@@ -240,7 +240,7 @@ def test_clock_is_set_while_nobody_commands(loop, step):
     loop.arrives()
     loop.graph.kill(compensator)
     loop.set_clock(step)
-    loop.until(lambda: loop.applied[-1].status == AppliedStatus.EXPIRED, 'expired')
+    loop.until(lambda: loop.applied[-1].status == OffsetStatus.EXPIRED, 'expired')
     loop.until(lambda: loop.stands() < CLOSE, 'taken to zero')
     loop.set_clock(0)
     loop.compensator()

@@ -19,7 +19,7 @@ from fuzzycnc_ros.adapters.probing.probe_file import read_plan
 from fuzzycnc_ros.adapters.probing.programs import write_programs
 from fuzzycnc_ros.cli.demo.linuxcnc import COUNT, SLEW
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
-from fuzzycnc_ros.cli.live.operator_client import Operator
+from fuzzycnc_ros.cli.live.operator_client import OperatorClient
 from fuzzycnc_ros.ros.bring_up import LEARNING, NodeSpec
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import LATCHED
@@ -213,7 +213,7 @@ def live_day(machine, folder, duration):
     ):
         for spec in specs:
             graph.start(spec)
-        with Operator('mill', graph.check) as operator:
+        with OperatorClient('mill', graph.check) as operator:
             listen = operator.node.create_subscription
             for kind, topic, found in (
                 (Displacement, 'truth', truth),

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from supervised_shift import Up, check_steps
 
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.ros.bring_up import NODE_STOP, RestartPolicy
-from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
+from fuzzycnc_ros.runtime.enums import CompensationState
 
 pytestmark = [pytest.mark.ros, pytest.mark.qualify, pytest.mark.realtime]
 
@@ -67,7 +68,7 @@ def test_every_node_may_stand_still_for_a_minute(supervised, observer):
     # What moves nothing may stand still, all of it at once.
     told, applied = stopped(supervised, observer, 'sensor_selector', 'recorder', 'dashboard')
     assert {item.state for item in told} == {CompensationState.ACTIVE}
-    assert {item.status for item in applied} == {AppliedStatus.FOLLOWING}
+    assert {item.status for item in applied} == {OffsetStatus.FOLLOWING}
 
     for node in ('temperature_acquisition', 'thermal_predictor'):
         told, applied = stopped(supervised, observer, node)

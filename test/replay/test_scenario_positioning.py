@@ -18,8 +18,9 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
     ServoControllerConfig,
     make_controllers,
 )
+from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryStatus
 from fuzzycnc_ros.core.servo.profile import point_to_point
-from fuzzycnc_ros.runtime.enums import ServoStatus, TrajectoryStatus
+from fuzzycnc_ros.runtime.enums import ServoStatus
 from fuzzycnc_ros.runtime.graph import InProcessGraph
 from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position

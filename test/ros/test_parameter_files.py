@@ -5,7 +5,7 @@
 import pytest
 
 from fuzzycnc_ros.ros.bring_up import known_nodes, page_spec
-from fuzzycnc_ros.ros.parameter_files import Section, parameter_files, sections, unread
+from fuzzycnc_ros.ros.parameter_files import ParameterSection, parameter_files, sections, unread
 from fuzzycnc_ros.ros.presence import GraphError
 
 RUNNING = ('/mill/compensator', '/mill/thermal_predictor', '/dashboard')
@@ -102,7 +102,7 @@ def test_both_spellings_of_yaml_are_read_and_others_named(tmp_path):
 
 def test_a_folder_of_bags_that_a_file_names_is_kept(tmp_path):
     def bags(record, *names):
-        read = [Section(tmp_path, 1, '/**/dashboard', frozenset(names))]
+        read = [ParameterSection(tmp_path, 1, '/**/dashboard', frozenset(names))]
         return page_spec(1, record, read).parameters.get('bags')
 
     assert bags(None) is None

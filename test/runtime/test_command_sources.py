@@ -10,8 +10,9 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachine,
     SimulatedMachineConfig,
 )
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.runtime.component import REQUEST
-from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import SECOND, Compensation, nanoseconds
 
 MICRON = 1e-6
@@ -66,7 +67,7 @@ def test_both_sources_of_offsets_are_refused_and_named(bench):
     command(bench, 30 * MICRON, epoch=9)
     tick(bench, 25)
     last = told(bench)[-1]
-    assert last.status == AppliedStatus.REFUSED
+    assert last.status == OffsetStatus.REFUSED
     assert 'from several nodes, all are refused: /mill/compensator, /mill/stranger' in last.reason
     np.testing.assert_array_equal(last.offset, 0.0)
     moved = np.diff([item.offset[0] for item in told(bench)])
@@ -87,7 +88,7 @@ def test_one_alone_is_followed_again_from_a_fresh_command(bench):
     assert not bench.component.sources.refusals
     command(bench, 1 * MICRON, epoch=2)
     tick(bench, 5)
-    assert told(bench)[-1].status == AppliedStatus.FOLLOWING
+    assert told(bench)[-1].status == OffsetStatus.FOLLOWING
     assert told(bench)[-1].offset[0] == pytest.approx(1 * MICRON)
 
 

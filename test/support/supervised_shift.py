@@ -14,7 +14,8 @@ from live_graph import Graph, Observer
 
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
-from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
+from fuzzycnc_ros.runtime.enums import CompensationState
 from fuzzycnc_ros.runtime.records import SECOND, Compensation, CompensationApplied
 
 LIMITS, MACHINE = CompensatorConfig(), SimulatedMachineConfig()
@@ -81,7 +82,7 @@ class Up:
             and command.stamp > since
             and command.state == CompensationState.ACTIVE
             and np.abs(self.applied[-1].offset).max() > AT_WORK
-            and self.applied[-1].status == AppliedStatus.FOLLOWING
+            and self.applied[-1].status == OffsetStatus.FOLLOWING
         )
 
 

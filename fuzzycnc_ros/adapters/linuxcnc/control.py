@@ -21,9 +21,9 @@ from fuzzycnc_ros.adapters.controller import Controller
 from fuzzycnc_ros.adapters.link import LinkError
 from fuzzycnc_ros.adapters.linuxcnc import hal_process
 from fuzzycnc_ros.adapters.linuxcnc.status import (
-    ControllerLimits,
     ControllerOutput,
-    ControllerStatus,
+    LinuxcncStatus,
+    ServoThreadLimits,
 )
 from fuzzycnc_ros.core.inputs.lines import Travel
 from fuzzycnc_ros.runtime.enums import MachineMode
@@ -48,7 +48,7 @@ def linuxcnc_runs() -> bool:
     return hal_process.hal_memory() is not None
 
 
-class Linuxcnc(Controller[ControllerStatus, ControllerOutput, ControllerLimits]):
+class Linuxcnc(Controller[LinuxcncStatus, ControllerOutput, ServoThreadLimits]):
     """Pins of one bridge in a running LinuxCNC.
 
     Parameters
@@ -83,11 +83,11 @@ class Linuxcnc(Controller[ControllerStatus, ControllerOutput, ControllerLimits])
             self.close()
             raise
 
-    def read(self) -> ControllerStatus:
+    def read(self) -> LinuxcncStatus:
         """Return the present status."""
         return self._status(self._ask({'op': 'read', 'due': self.probe_due}))
 
-    def write(self, orders: ControllerOutput) -> ControllerStatus:
+    def write(self, orders: ControllerOutput) -> LinuxcncStatus:
         """Write counts, and the heartbeat; return the present status."""
         request = {
             'op': 'write',
@@ -100,10 +100,10 @@ class Linuxcnc(Controller[ControllerStatus, ControllerOutput, ControllerLimits])
         }
         return self._status(self._ask(request))
 
-    def limits(self) -> ControllerLimits:
+    def limits(self) -> ServoThreadLimits:
         """Return the limits of the HAL file."""
         found = self._ask({'op': 'limits'})
-        return ControllerLimits(**{**found, 'slope': found['slope'] / self._metre})
+        return ServoThreadLimits(**{**found, 'slope': found['slope'] / self._metre})
 
     def claim(self) -> None:
         """Become the writer of the counts, from where they stand.
@@ -159,7 +159,7 @@ class Linuxcnc(Controller[ControllerStatus, ControllerOutput, ControllerLimits])
             raise LinuxcncError(str(answer['error']))
         return answer
 
-    def _status(self, found: dict[str, Any]) -> ControllerStatus:
+    def _status(self, found: dict[str, Any]) -> LinuxcncStatus:
         self._check_time(found['tick'])
         metre = self._metre = 1e-3 / found['units']
 
@@ -174,7 +174,7 @@ class Linuxcnc(Controller[ControllerStatus, ControllerOutput, ControllerLimits])
             inside = np.concatenate([scale * column(name, 1.0) for name in ('low', 'high')])
             lines = travel.lines(inside, travel.low)
             base = scale * column('base', 1.0)
-        return ControllerStatus(
+        return LinuxcncStatus(
             mode=MachineMode[found['mode'].upper()],
             homed=found['homed'],
             ready=found['ready'],

@@ -19,16 +19,16 @@ from fuzzycnc_ros.adapters.readings.device_fields import (
     SensorFields,
     SpeedFields,
 )
-from fuzzycnc_ros.adapters.readings.devices import Channel, Device
+from fuzzycnc_ros.adapters.readings.devices import Device, DeviceChannel
 from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
 from fuzzycnc_ros.adapters.readings.plausible_value import reading_of
-from fuzzycnc_ros.adapters.yaml_model import Field, Fields, Shorthand, Text, Word
+from fuzzycnc_ros.adapters.yaml_model import Choice, Field, Fields, Shorthand, Text
 
 PROGRAM = str(Path(hal_process.__file__).with_name('hal_values.py'))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pin(Channel):
+class Pin(DeviceChannel):
     """A value in HAL: name of the pin, signal or parameter, and of a bit that says it is none."""
 
     pin: str
@@ -74,7 +74,7 @@ class HalFields(Conversion, DeviceFields):
     INHERITED = CONVERSION
     SHORTHAND = 'pin'
 
-    protocol: Annotated[str, Word(('linuxcnc_hal',))]
+    protocol: Annotated[str, Choice(('linuxcnc_hal',))]
     interpreter: Annotated[str, Text()] = Field(
         '/usr/bin/python3', description="Python that LinuxCNC's modules are built for"
     )

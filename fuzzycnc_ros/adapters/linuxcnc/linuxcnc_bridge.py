@@ -15,11 +15,11 @@ from fuzzycnc_ros.adapters.controller_bridge import (
     ControllerBridgeConfig,
 )
 from fuzzycnc_ros.adapters.linuxcnc.status import (
-    ControllerLimits,
     ControllerOutput,
-    ControllerStatus,
+    LinuxcncStatus,
     OffsetRegisters,
     RegisterPhase,
+    ServoThreadLimits,
 )
 from fuzzycnc_ros.core.config import param
 from fuzzycnc_ros.core.inputs.lines import Lines, Travel
@@ -53,7 +53,7 @@ class LinuxcncBridgeConfig(ControllerBridgeConfig):
     )
 
 
-class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, ControllerOutput]):
+class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, LinuxcncStatus, ControllerOutput]):
     """Guard the offsets, bring LinuxCNC's registers there, tell what is applied."""
 
     NAME = 'linuxcnc_bridge'
@@ -109,7 +109,7 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
         self._resume(status)
         self._orders = self._output(status.standing, status)
 
-    def refusal(self, limits: ControllerLimits, status: ControllerStatus) -> str:
+    def refusal(self, limits: ServoThreadLimits, status: LinuxcncStatus) -> str:
         """Say why offsets must not be written with the limits of the HAL file; empty if fine."""
         if not (np.all(np.isfinite(status.scale)) and np.all(status.scale > 0.0)):
             return (
@@ -129,7 +129,7 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
                 )
         return ''
 
-    def observe(self, stamp: int, status: ControllerStatus) -> Iterator[Emission]:
+    def observe(self, stamp: int, status: LinuxcncStatus) -> Iterator[Emission]:
         """Take what was read at `stamp` [ns]; decide what to write, yield what is to be told."""
         self._work_at(stamp)
         self._status, self._absent = status, ''
@@ -153,10 +153,10 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
     def _forget(self) -> None:
         self._registers = OffsetRegisters(len(self._axes))
 
-    def _output(self, wanted: Lines, status: ControllerStatus) -> ControllerOutput:
+    def _output(self, wanted: Lines, status: LinuxcncStatus) -> ControllerOutput:
         return self._registers.output(wanted, status, self._config.offset_max)
 
-    def _most_at_ends(self, status: ControllerStatus) -> Floats:
+    def _most_at_ends(self, status: LinuxcncStatus) -> Floats:
         # The servo thread cuts at the place where the axis is.
         span = status.travel.high - status.travel.low
         return np.tile(self._most(status) + self._config.slope_max * span, 2)
@@ -166,7 +166,7 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
         # A command has been cut before; its ends may be larger than what stands anywhere.
         return replace(super()._limits, offset_max=END_MAX)
 
-    def _travel_of(self, status: ControllerStatus) -> Travel:
+    def _travel_of(self, status: LinuxcncStatus) -> Travel:
         return status.travel
 
     def _flat(self, axes: str) -> str:
@@ -178,7 +178,7 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
             )
         return f'give MIN_LIMIT and MAX_LIMIT of {axes} in the INI file, or command no slope'
 
-    def _resume(self, status: ControllerStatus) -> None:
+    def _resume(self, status: LinuxcncStatus) -> None:
         """Go on from what the registers hold: the lines that stand, and their base."""
         standing = status.standing
         here = np.where(np.isnan(status.position), 0.0, status.position)
@@ -190,7 +190,7 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
         """True if the registers follow this bridge."""
         return self._holding and self._registers.phase is not RegisterPhase.SETTLING
 
-    def _forbidden(self, status: ControllerStatus) -> str:
+    def _forbidden(self, status: LinuxcncStatus) -> str:
         """Say why commands are not followed now; empty if they are."""
         if not self._active:
             return 'the bridge is not active'
@@ -215,10 +215,10 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
             )
         return self.sources.refusal('compensation')
 
-    def _leaving(self, status: ControllerStatus) -> str:
+    def _leaving(self, status: LinuxcncStatus) -> str:
         return 'frozen, eoffset-enable is off' if status.frozen else super()._leaving(status)
 
-    def _watch(self, status: ControllerStatus) -> None:
+    def _watch(self, status: LinuxcncStatus) -> None:
         """Note since when LinuxCNC has not been where its registers are."""
         apart = status.ready and (
             not status.tracking or np.any(np.abs(status.applied - status.register) > CLOSE)
@@ -228,16 +228,16 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
         elif self._apart_since is None:
             self._apart_since = self._time
 
-    def _cut(self, status: ControllerStatus) -> Bools:
+    def _cut(self, status: LinuxcncStatus) -> Bools:
         """Return True for each axis whose offset LinuxCNC itself cuts."""
         apart = np.abs(status.applied - status.register) > CLOSE
         return np.asarray(apart & status.soft_limited, bool)
 
-    def _limited(self, status: ControllerStatus) -> Bools:
+    def _limited(self, status: LinuxcncStatus) -> Bools:
         guard = (self._beyond(status) | self._steep) & self._leads
         return np.asarray(guard | self._cut(status), bool)
 
-    def _complaint(self, status: ControllerStatus) -> str:
+    def _complaint(self, status: LinuxcncStatus) -> str:
         cut = self._cut(status)
         if np.any(cut):
             return (
@@ -256,16 +256,16 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, ControllerStatus, Co
             f'{describe(self._axes, wanted) or "zero"}; offsets do not move in joint mode'
         )
 
-    def _input_at(self, status: ControllerStatus) -> Floats:
+    def _input_at(self, status: LinuxcncStatus) -> Floats:
         """Return the offsets that the guard allows where the axes are [m]."""
         return np.clip(self._asked_at(status), -self._config.offset_max, self._config.offset_max)
 
-    def _asked_at(self, status: ControllerStatus) -> Floats:
+    def _asked_at(self, status: LinuxcncStatus) -> Floats:
         """Return the offsets of the lines in force where the axes are [m]."""
         lines = self._lines_in_force(status)
         return lines.at(np.where(np.isnan(status.position), 0.0, status.position))
 
-    def _beyond(self, status: ControllerStatus) -> Bools:
+    def _beyond(self, status: LinuxcncStatus) -> Bools:
         """Return True for each axis whose line the size limit cuts here or at an end."""
         here = np.abs(self._asked_at(status)) > self._config.offset_max + NOTHING
         return np.asarray(here | self._clipped, bool)

@@ -13,7 +13,7 @@ from fuzzycnc_ros.runtime.records import Floats
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ControllerStatus(Readout):
+class LinuxcncStatus(Readout):
     """State read from LinuxCNC; `ready` means that its offset registers take counts."""
 
     alive: bool
@@ -54,7 +54,7 @@ class ControllerStatus(Readout):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ControllerLimits:
+class ServoThreadLimits:
     """Limits that the servo thread keeps whatever it is told."""
 
     counts_max: float
@@ -126,7 +126,7 @@ class OffsetRegisters:
         """Hold the counts as they stand until the bases are known."""
         self.phase = RegisterPhase.SETTLING
 
-    def look(self, status: ControllerStatus) -> None:
+    def look(self, status: LinuxcncStatus) -> None:
         """Follow the bases without doing anything about them."""
         found, still = status.base, True
         if found is None:
@@ -139,7 +139,7 @@ class OffsetRegisters:
             self._cycles += 1
         self._seen, self._counts, self._tick = found, status.counts, status.tick
 
-    def observe(self, status: ControllerStatus) -> bool:
+    def observe(self, status: LinuxcncStatus) -> bool:
         """Look at a cycle; return whether a base was found now, which the offsets have to leave.
 
         While the registers do not follow the counts nothing is concluded.
@@ -170,7 +170,7 @@ class OffsetRegisters:
         return False
 
     def output(
-        self, wanted: Lines, status: ControllerStatus, most: float = np.inf
+        self, wanted: Lines, status: LinuxcncStatus, most: float = np.inf
     ) -> ControllerOutput:
         """Return what brings the registers to `wanted`, no further than `most` [m]."""
         zero = np.zeros_like(status.counts)

@@ -18,16 +18,16 @@ from fuzzycnc_ros.adapters.readings.device_fields import (
     host_name,
     serial_port,
 )
-from fuzzycnc_ros.adapters.readings.devices import Channel, Device
+from fuzzycnc_ros.adapters.readings.devices import Device, DeviceChannel
 from fuzzycnc_ros.adapters.readings.link import Link
 from fuzzycnc_ros.adapters.yaml_model import (
     AfterValidator,
+    Choice,
     Field,
     Fields,
     Number,
     Shorthand,
     Text,
-    Word,
     model_validator,
     wrong,
 )
@@ -49,7 +49,7 @@ FORMATS = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class Register(Channel):
+class Register(DeviceChannel):
     """A value in registers of a Modbus device.
 
     Parameters
@@ -157,14 +157,14 @@ class ModbusRtuDevice(ModbusDevice):
 
 
 class _Layout(Fields):
-    table: Annotated[str, Word(('holding', 'input'))] = Field(
+    table: Annotated[str, Choice(('holding', 'input'))] = Field(
         'holding', description='Which registers: function 3 or 4'
     )
-    type: Annotated[str, Word(tuple(FORMATS))] = Field('int16', description='Type of raw values')
-    word_order: Annotated[str, Word(ORDERS)] = Field(
+    type: Annotated[str, Choice(tuple(FORMATS))] = Field('int16', description='Type of raw values')
+    word_order: Annotated[str, Choice(ORDERS)] = Field(
         'big', description='Which register of a longer value comes first'
     )
-    byte_order: Annotated[str, Word(ORDERS)] = Field(
+    byte_order: Annotated[str, Choice(ORDERS)] = Field(
         'big', description='Order of the bytes in a register'
     )
 
@@ -228,7 +228,7 @@ class ModbusTcp(_Modbus):
 
     DEVICE = ModbusTcpDevice
 
-    protocol: Annotated[str, Word(('modbus_tcp',))]
+    protocol: Annotated[str, Choice(('modbus_tcp',))]
     host: Annotated[str, Text(HOST), AfterValidator(host_name)] = Field(description='Address')
     port: Annotated[int, Number(1, 65535, whole=True)] = Field(502, description='TCP port')
     unit: Annotated[int, Number(0, 255, whole=True)] = Field(
@@ -241,14 +241,14 @@ class ModbusRtu(_Modbus):
 
     DEVICE = ModbusRtuDevice
 
-    protocol: Annotated[str, Word(('modbus_rtu',))]
+    protocol: Annotated[str, Choice(('modbus_rtu',))]
     port: Annotated[str, Text(PORT), AfterValidator(serial_port)] = Field(
         description='File of the serial port; all units of a line name the same'
     )
     baud_rate: Annotated[int, Number(300, 4_000_000, whole=True)] = Field(
         19200, description='Bits per second'
     )
-    parity: Annotated[str, Word(PARITIES)] = Field('even', description='Parity bit')
+    parity: Annotated[str, Choice(PARITIES)] = Field('even', description='Parity bit')
     stop_bits: Annotated[int, Number(1, 2, whole=True)] = Field(1, description='Stop bits')
     unit: Annotated[int, Number(1, 247, whole=True)] = Field(1, description='Unit on the line')
     timeout: Annotated[float, Number(0.05, 60.0, 's')] = Field(

@@ -10,7 +10,7 @@ from typing import Any
 
 from fuzzycnc_ros.adapters.modbus.devices import ModbusDevice, ModbusTcpDevice
 from fuzzycnc_ros.adapters.modbus.registers import (
-    Block,
+    RegisterBlock,
     blocks,
     jump,
     lies_at_zero,
@@ -130,7 +130,7 @@ class ModbusLink(Link):
         return found
 
     @abstractmethod
-    async def _request(self, block: Block) -> Any:
+    async def _request(self, block: RegisterBlock) -> Any:
         """Return the answer to a request for a block.
 
         Raises
@@ -139,7 +139,7 @@ class ModbusLink(Link):
             If there is none.
         """
 
-    async def _ask(self, block: Block) -> list[int] | int:
+    async def _ask(self, block: RegisterBlock) -> list[int] | int:
         """Return the registers of a block, or the exception code of the device."""
         answer = await self._request(block)
         if answer.isError():
@@ -203,7 +203,7 @@ class ModbusTcpLink(ModbusLink):
         """Drop the connection."""
         self._client.close()
 
-    async def _request(self, block: Block) -> Any:
+    async def _request(self, block: RegisterBlock) -> Any:
         from pymodbus.exceptions import ConnectionException, ModbusException
 
         device = self._device
@@ -217,7 +217,7 @@ class ModbusTcpLink(ModbusLink):
             ) from error
 
 
-async def request(client: Any, block: Block, unit: int) -> Any:
+async def request(client: Any, block: RegisterBlock, unit: int) -> Any:
     """Ask a unit for the registers of a block."""
     ask = (
         client.read_holding_registers if block.table == 'holding' else client.read_input_registers

@@ -16,7 +16,7 @@ REGISTERS_MAX = 125
 
 
 @dataclass(frozen=True)
-class Block:
+class RegisterBlock:
     """Registers that are asked for in one request, and the channels that lie in them."""
 
     table: str
@@ -25,7 +25,7 @@ class Block:
     channels: tuple[int, ...]
 
 
-def blocks(registers: Sequence[Register]) -> list[Block]:
+def blocks(registers: Sequence[Register]) -> list[RegisterBlock]:
     """Return as few requests as cover all values.
 
     Only registers that touch are asked for together: many devices refuse a request with a gap
@@ -34,7 +34,7 @@ def blocks(registers: Sequence[Register]) -> list[Block]:
     order = sorted(
         range(len(registers)), key=lambda i: (registers[i].table, registers[i].register)
     )
-    found: list[Block] = []
+    found: list[RegisterBlock] = []
     for index in order:
         item = registers[index]
         last = found[-1] if found else None
@@ -43,16 +43,17 @@ def blocks(registers: Sequence[Register]) -> list[Block]:
             touches = item.register <= last.register + last.count
             if touches and end - last.register <= REGISTERS_MAX:
                 channels = (*last.channels, index)
-                found[-1] = Block(last.table, last.register, end - last.register, channels)
+                found[-1] = RegisterBlock(last.table, last.register, end - last.register, channels)
                 continue
-        found.append(Block(item.table, item.register, item.count, (index,)))
+        found.append(RegisterBlock(item.table, item.register, item.count, (index,)))
     return found
 
 
-def single_blocks(block: Block, registers: Sequence[Register]) -> list[Block]:
+def single_blocks(block: RegisterBlock, registers: Sequence[Register]) -> list[RegisterBlock]:
     """Return one request for each value of a block."""
     return [
-        Block(block.table, registers[i].register, registers[i].count, (i,)) for i in block.channels
+        RegisterBlock(block.table, registers[i].register, registers[i].count, (i,))
+        for i in block.channels
     ]
 
 

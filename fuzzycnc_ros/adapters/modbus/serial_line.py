@@ -14,7 +14,7 @@ from typing import Any
 
 from fuzzycnc_ros.adapters.modbus.devices import ModbusRtuDevice, SerialLine
 from fuzzycnc_ros.adapters.modbus.link import ModbusLink, request
-from fuzzycnc_ros.adapters.modbus.registers import Block
+from fuzzycnc_ros.adapters.modbus.registers import RegisterBlock
 from fuzzycnc_ros.adapters.readings.link import LinkError, Reading, port_trouble
 
 FRAME_MIN = 4
@@ -79,7 +79,7 @@ class _Line:
         """Close the port."""
         self._client.close()
 
-    async def ask(self, device: ModbusRtuDevice, block: Block) -> Any:
+    async def ask(self, device: ModbusRtuDevice, block: RegisterBlock) -> Any:
         """Return the answer of a unit to a request for a block."""
         late = _LATE.get((self._port, device.unit), 0.0)
         await asyncio.sleep(max(late - time.monotonic(), 0.0))
@@ -105,7 +105,7 @@ class _Line:
         except (ValueError, termios.error) as error:
             raise LinkError(f'{self._port} refuses its settings ({error})') from error
 
-    async def _answer(self, device: ModbusRtuDevice, block: Block) -> Any:
+    async def _answer(self, device: ModbusRtuDevice, block: RegisterBlock) -> Any:
         from pymodbus.exceptions import ModbusException
 
         try:
@@ -223,5 +223,5 @@ class ModbusRtuLink(ModbusLink):
             if _LINES.get(self._key) is line:
                 del _LINES[self._key]
 
-    async def _request(self, block: Block) -> Any:
+    async def _request(self, block: RegisterBlock) -> Any:
         return await self._line.ask(self._unit, block)

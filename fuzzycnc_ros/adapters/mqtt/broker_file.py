@@ -12,11 +12,11 @@ from typing import Annotated, Any
 from fuzzycnc_ros.adapters.opcua.file_fields import File, read_credentials
 from fuzzycnc_ros.adapters.yaml_model import (
     SWITCH,
+    Choice,
     Field,
     Fields,
     Number,
     Text,
-    Word,
     model_validator,
     read_file,
     wrong,
@@ -114,7 +114,7 @@ class BrokerFields(Fields):
     )
     tls: _TlsFields | None = Field(None, description='Security of the connection')
     credentials: File = Field(default_factory=Path, description='File with username and password')
-    allow_plain_password: Annotated[bool, Word(SWITCH)] = Field(
+    allow_plain_password: Annotated[bool, Choice(SWITCH)] = Field(
         False, description='Whether a password may go out so that others can read it'
     )
 

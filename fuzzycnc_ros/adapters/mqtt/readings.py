@@ -23,18 +23,18 @@ from fuzzycnc_ros.adapters.readings.device_fields import (
     SensorFields,
     SpeedFields,
 )
-from fuzzycnc_ros.adapters.readings.devices import SPINDLE, Channel, Device
+from fuzzycnc_ros.adapters.readings.devices import SPINDLE, Device, DeviceChannel
 from fuzzycnc_ros.adapters.readings.lines import value_in
 from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
 from fuzzycnc_ros.adapters.readings.plausible_value import reading_of, shown
 from fuzzycnc_ros.adapters.readings.pushed import Pushed
 from fuzzycnc_ros.adapters.yaml_model import (
     AfterValidator,
+    Choice,
     Field,
     Number,
     Shorthand,
     Text,
-    Word,
     wrong,
 )
 from fuzzycnc_ros.ros.parameters import ParameterError
@@ -50,7 +50,7 @@ REFUSED_PAUSE = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Message(Channel):
+class Message(DeviceChannel):
     """A value in messages: their topic, with wildcards, and the way to it in a JSON document."""
 
     topic: str
@@ -118,7 +118,7 @@ class MqttFields(Conversion, BrokerFields, DeviceFields):
     INHERITED = CONVERSION
     SHORTHAND = 'topic'
 
-    protocol: Annotated[str, Word(('mqtt',))]
+    protocol: Annotated[str, Choice(('mqtt',))]
     keep_alive: Annotated[int, Number(1, 3600, 's', whole=True)] = Field(
         2, description='Time after which a silent connection counts as lost [s]'
     )

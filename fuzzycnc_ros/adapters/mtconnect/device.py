@@ -18,14 +18,14 @@ from fuzzycnc_ros.adapters.readings.device_fields import (
     SensorFields,
     SpeedFields,
 )
-from fuzzycnc_ros.adapters.readings.devices import Channel, Device
+from fuzzycnc_ros.adapters.readings.devices import Device, DeviceChannel
 from fuzzycnc_ros.adapters.readings.link import Link
 from fuzzycnc_ros.adapters.yaml_model import (
     AfterValidator,
+    Choice,
     Field,
     Shorthand,
     Text,
-    Word,
     address_of,
     model_validator,
     wrong,
@@ -41,7 +41,7 @@ class Quantity(Enum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Item(Channel):
+class DataItemChannel(DeviceChannel):
     """A data item of an MTConnect agent; the raw value is brought to degC or to `unit` first.
 
     Parameters
@@ -77,7 +77,7 @@ class MtconnectDevice(Device):
         Certificates of those who may vouch for it; None: those that the system trusts.
     """
 
-    channels: tuple[Item, ...]
+    channels: tuple[DataItemChannel, ...]
     host: str
     port: int
     path: str
@@ -97,8 +97,8 @@ class MtconnectDevice(Device):
         return MtconnectLink(self)
 
 
-class _Item(Scaling):
-    CHANNEL = Item
+class _ItemFields(Scaling):
+    CHANNEL = DataItemChannel
 
     item: Annotated[str, Text()] = Field(description='Id of the data item, or its name')
 
@@ -107,12 +107,12 @@ class _Item(Scaling):
         return {'item': self.item}
 
 
-class _SensorItem(SensorFields, _Item):
+class _SensorItem(SensorFields, _ItemFields):
     pass
 
 
-class _SpeedItem(SpeedFields, _Item):
-    def channel(self, name: str, unit: float, largest: float = math.inf) -> Channel:
+class _SpeedItem(SpeedFields, _ItemFields):
+    def channel(self, name: str, unit: float, largest: float = math.inf) -> DeviceChannel:
         """Return the channel; the agent may state the unit."""
         made = super().channel(name, unit, largest)
         return replace(made, unit=unit, quantity=Quantity.SPEED)  # type: ignore[call-arg]
@@ -138,7 +138,7 @@ class Mtconnect(Scaling, DeviceFields):
     INHERITED = tuple(Scaling.model_fields)
     SHORTHAND = 'item'
 
-    protocol: Annotated[str, Word(('mtconnect',))]
+    protocol: Annotated[str, Choice(('mtconnect',))]
     url: Annotated[str, Text(r'https?://.+'), AfterValidator(_agent)] = Field(
         description='Address, http:// or https://HOST:PORT, and /MACHINE where the agent has '
         'several'
@@ -156,10 +156,10 @@ class Mtconnect(Scaling, DeviceFields):
     )
     spindle_speed: _SpeedItem | None = Field(None, description='Spindle speed')
 
-    def axes(self) -> dict[str, Channel]:
+    def axes(self) -> dict[str, DeviceChannel]:
         """Return the channels of axes by the names of these."""
         return {
-            name: Item(name=f'axis {name}', item=item, quantity=Quantity.POSITION)
+            name: DataItemChannel(name=f'axis {name}', item=item, quantity=Quantity.POSITION)
             for name, item in self.positions.items()
         }
 

@@ -17,7 +17,7 @@ from datetime import datetime, timezone
 from functools import partial
 from urllib.parse import quote
 
-from fuzzycnc_ros.adapters.mtconnect.device import Item, MtconnectDevice, Quantity
+from fuzzycnc_ros.adapters.mtconnect.device import DataItemChannel, MtconnectDevice, Quantity
 from fuzzycnc_ros.adapters.mtconnect.documents import DataItem, Document, parse
 from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
 from fuzzycnc_ros.adapters.readings.plausible_value import NUMBER, no_temperature, scaled, shown
@@ -145,7 +145,7 @@ class MtconnectLink(Link):
         if self._ended is not None:
             await self._ended.wait()
 
-    def _reading(self, channel: Item, item: DataItem | str) -> Reading:
+    def _reading(self, channel: DataItemChannel, item: DataItem | str) -> Reading:
         if isinstance(item, str):
             return item
         if item.identifier not in self._values:
@@ -298,7 +298,7 @@ def path_of(identifiers: set[str]) -> str:
     return made if len(made) <= FILTER_MAX else ''
 
 
-def find(channel: Item, items: Sequence[DataItem]) -> DataItem | str:
+def find(channel: DataItemChannel, items: Sequence[DataItem]) -> DataItem | str:
     """Return the data item of a channel, by id or else by name; or why there is none."""
     wanted = channel.item
     found = [item for item in items if item.identifier == wanted]
@@ -315,7 +315,7 @@ def find(channel: Item, items: Sequence[DataItem]) -> DataItem | str:
     return found[0]
 
 
-def reading_of(channel: Item, item: DataItem, text: str) -> Reading:
+def reading_of(channel: DataItemChannel, item: DataItem, text: str) -> Reading:
     """Return the quantity that an agent tells of a data item, or why there is none."""
     place = f'data item {channel.item}'
     if text == UNAVAILABLE:

@@ -15,14 +15,14 @@ import numpy as np
 from fuzzycnc_ros.adapters.opcua.control import ControlFile
 from fuzzycnc_ros.adapters.opcua.file_fields import PlaceFields, ServerFields, pin_folder
 from fuzzycnc_ros.adapters.opcua.session import Address, node_id_trouble
-from fuzzycnc_ros.adapters.opcua.variables import ControlVariable, Kind
+from fuzzycnc_ros.adapters.opcua.variables import ControlVariable, VariableType
 from fuzzycnc_ros.adapters.readings.device_fields import Scale, SpeedUnit
 from fuzzycnc_ros.adapters.yaml_model import (
+    Choice,
     Field,
     Fields,
     Numbers,
     Shorthand,
-    Word,
     model_validator,
     read_file,
     wrong,
@@ -57,7 +57,7 @@ class _Speed(_Quantity):
 class _Role:
     """Role of a variable."""
 
-    kind: Kind
+    kind: VariableType
     written: bool = False
     unit: str = ''
     """Which unit of the file its values have: unit or position_unit."""
@@ -65,32 +65,32 @@ class _Role:
 
 _Named = Annotated[_Place, Shorthand('node')]
 _Scaled = Annotated[_Quantity, Shorthand('node')]
-_READ, _WRITTEN = _Role(Kind.QUANTITY), _Role(Kind.QUANTITY, written=True)
-_COUNT = _Role(Kind.COUNT, written=True)
-_Switch = Annotated[_Named | None, _Role(Kind.SWITCH)]
+_READ, _WRITTEN = _Role(VariableType.QUANTITY), _Role(VariableType.QUANTITY, written=True)
+_COUNT = _Role(VariableType.COUNT, written=True)
+_Switch = Annotated[_Named | None, _Role(VariableType.SWITCH)]
 
 
 class _HandShake(Fields):
     sequence: Annotated[_Named, _COUNT] = Field(description='Number of the set; 0: none')
     heartbeat: Annotated[_Named, _COUNT] = Field(description='Changes with every exchange')
     valid_for: Annotated[_Scaled, _WRITTEN] = Field(description='How long a set holds [s]')
-    acknowledged: Annotated[_Named, _Role(Kind.COUNT)] = Field(
+    acknowledged: Annotated[_Named, _Role(VariableType.COUNT)] = Field(
         description='Number of the set that the control follows'
     )
-    owner: Annotated[_Named | None, _Role(Kind.TEXT, written=True)] = Field(
+    owner: Annotated[_Named | None, _Role(VariableType.TEXT, written=True)] = Field(
         None, description='Who writes, to be shown'
     )
 
 
-class _State(Fields):
-    on: Annotated[_Named, _Role(Kind.SWITCH)] = Field(description='The machine is on')
-    homed: Annotated[_Named, _Role(Kind.SWITCH)] = Field(description='The axes are homed')
+class _StateFields(Fields):
+    on: Annotated[_Named, _Role(VariableType.SWITCH)] = Field(description='The machine is on')
+    homed: Annotated[_Named, _Role(VariableType.SWITCH)] = Field(description='The axes are homed')
     allowed: _Switch = Field(None, description='The control takes offsets now')
     running: _Switch = Field(None, description='A program runs')
     estop: _Switch = Field(None, description='Emergency stop')
     fault: _Switch = Field(None, description='The machine has a fault')
     alive: _Switch = Field(None, description='The watchdog of the control hears the bridge')
-    slew: Annotated[_Scaled | None, _Role(Kind.QUANTITY, unit='unit')] = Field(
+    slew: Annotated[_Scaled | None, _Role(VariableType.QUANTITY, unit='unit')] = Field(
         None, description='Largest change per second, in `unit`'
     )
     spindle_speed: Annotated[Annotated[_Speed, Shorthand('node')] | None, _READ] = Field(
@@ -102,8 +102,8 @@ class _State(Fields):
     coolant: _Switch = Field(None, description='Coolant is on')
 
 
-class _Probe(Fields):
-    due: Annotated[_Named | None, _Role(Kind.SWITCH, written=True)] = Field(
+class _ProbeVariables(Fields):
+    due: Annotated[_Named | None, _Role(VariableType.SWITCH, written=True)] = Field(
         None, description='A probing cycle is due: a program may call it'
     )
     code: Annotated[_Scaled | None, _READ] = Field(
@@ -114,28 +114,28 @@ class _Probe(Fields):
     )
 
     @model_validator(mode='after')
-    def _check_pair(self) -> '_Probe':
+    def _check_pair(self) -> '_ProbeVariables':
         if (self.code is None) != (self.value is None):
             raise wrong('expected code and value, or none of them')
         return self
 
 
 class _Axis(Fields):
-    offset: Annotated[_Scaled, _Role(Kind.QUANTITY, written=True, unit='unit')] = Field(
+    offset: Annotated[_Scaled, _Role(VariableType.QUANTITY, written=True, unit='unit')] = Field(
         description='K0, in `unit`'
     )
     slope: Annotated[_Scaled | None, _WRITTEN] = Field(None, description='Slope [-]')
     reference_position: Annotated[
-        _Scaled | None, _Role(Kind.QUANTITY, written=True, unit='position_unit')
+        _Scaled | None, _Role(VariableType.QUANTITY, written=True, unit='position_unit')
     ] = Field(None, description='P0, in `position_unit`')
-    applied: Annotated[_Scaled, _Role(Kind.QUANTITY, unit='unit')] = Field(
+    applied: Annotated[_Scaled, _Role(VariableType.QUANTITY, unit='unit')] = Field(
         description='Offset in force now, in `unit`'
     )
-    limit: Annotated[_Scaled | None, _Role(Kind.QUANTITY, unit='unit')] = Field(
+    limit: Annotated[_Scaled | None, _Role(VariableType.QUANTITY, unit='unit')] = Field(
         None, description='Largest offset of the control, in `unit`'
     )
-    position: Annotated[_Scaled | None, _Role(Kind.QUANTITY, unit='position_unit')] = Field(
-        None, description='Commanded position without the offset, in `position_unit`'
+    position: Annotated[_Scaled | None, _Role(VariableType.QUANTITY, unit='position_unit')] = (
+        Field(None, description='Commanded position without the offset, in `position_unit`')
     )
     travel: Annotated[tuple[float, ...], Numbers()] = Field(
         (), description='Ends of the axis in `position_unit`, the lower one first'
@@ -157,13 +157,15 @@ class _Axis(Fields):
 class ControlFields(ServerFields):
     """Server of a control, and its variables that take part in compensation."""
 
-    unit: Annotated[str, Word(('um', 'mm', 'm', 'inch'))] = Field(description='Unit of offsets')
-    position_unit: Annotated[str, Word(('um', 'mm', 'm', 'inch'))] = Field(
+    unit: Annotated[str, Choice(('um', 'mm', 'm', 'inch'))] = Field(description='Unit of offsets')
+    position_unit: Annotated[str, Choice(('um', 'mm', 'm', 'inch'))] = Field(
         'mm', description='Unit of positions'
     )
     hand_shake: _HandShake = Field(description='Variables by which sets are handed over')
-    state: _State = Field(description='Variables with the state of the machine')
-    probe: _Probe | None = Field(None, description='Variables of a probing cycle, if there is one')
+    state: _StateFields = Field(description='Variables with the state of the machine')
+    probe: _ProbeVariables | None = Field(
+        None, description='Variables of a probing cycle, if there is one'
+    )
     axes: dict[str, _Axis] = Field(
         {},
         description='Axes that take offsets, by their letters',

@@ -13,12 +13,12 @@ from fuzzycnc_ros.adapters.yaml_model import (
     SWITCH,
     AfterValidator,
     BeforeValidator,
+    Choice,
     Field,
     Fields,
     Number,
     Text,
     ValidationInfo,
-    Word,
     address_of,
     model_validator,
     read_file,
@@ -98,8 +98,8 @@ class PlaceFields(Fields):
 class SecurityFields(Fields):
     """Security of the connection."""
 
-    policy: Annotated[str, Word(POLICIES)] = Field(description='Security policy')
-    mode: Annotated[str, Word(MODES)] = Field(ENCRYPTED, description='Security mode')
+    policy: Annotated[str, Choice(POLICIES)] = Field(description='Security policy')
+    mode: Annotated[str, Choice(MODES)] = Field(ENCRYPTED, description='Security mode')
     certificate: File = Field(description='Own certificate, relative to this file')
     private_key: File = Field(description='Key of the own certificate')
     server_certificate: File = Field(
@@ -119,7 +119,7 @@ class ServerFields(Fields):
     )
     security: SecurityFields | None = Field(None, description='Security of the connection')
     credentials: File = Field(default_factory=Path, description='File with username and password')
-    allow_plain_password: Annotated[bool, Word(SWITCH)] = Field(
+    allow_plain_password: Annotated[bool, Choice(SWITCH)] = Field(
         False, description='Whether a password may go out so that others can read it'
     )
 

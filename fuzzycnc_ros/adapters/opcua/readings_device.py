@@ -16,14 +16,14 @@ from fuzzycnc_ros.adapters.readings.device_fields import (
     SensorFields,
     SpeedFields,
 )
-from fuzzycnc_ros.adapters.readings.devices import Channel, Device
+from fuzzycnc_ros.adapters.readings.devices import Device, DeviceChannel
 from fuzzycnc_ros.adapters.readings.link import Link
-from fuzzycnc_ros.adapters.yaml_model import Field, Shorthand, Word
+from fuzzycnc_ros.adapters.yaml_model import Choice, Field, Shorthand
 from fuzzycnc_ros.ros.parameters import ParameterError
 
 
 @dataclass(frozen=True, kw_only=True)
-class Variable(Channel, Address):
+class Variable(DeviceChannel, Address):
     """A value in a variable of an OPC UA server."""
 
 
@@ -70,7 +70,7 @@ class OpcUa(Conversion, ServerFields, DeviceFields):
     INHERITED = CONVERSION
     SHORTHAND = 'node'
 
-    protocol: Annotated[str, Word(('opc_ua',))]
+    protocol: Annotated[str, Choice(('opc_ua',))]
     sensors: dict[str, Annotated[_SensorVariable, Shorthand('node')]] = Field(
         {}, description='Sensors by name; a mere text is the node id'
     )

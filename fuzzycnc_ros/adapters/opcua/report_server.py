@@ -13,7 +13,7 @@ from typing import Any
 
 from fuzzycnc_ros.adapters.loops import LoopThread
 from fuzzycnc_ros.adapters.opcua.session import library_trouble
-from fuzzycnc_ros.components.report.told import NO_VALUE, TOO_OLD, Told, told
+from fuzzycnc_ros.components.report.reported_values import NO_VALUE, TOO_OLD, ReportedValue, told
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.runtime.component import Health, Level
 
@@ -31,7 +31,7 @@ ALARMS = 'alarms'
 
 
 @dataclass(frozen=True)
-class Entry:
+class ServerAccess:
     """Access to a server from other computers.
 
     Parameters
@@ -61,7 +61,7 @@ class ReportServer:
         TCP port; 0 takes a free one.
     age_max : float
         Age [s] beyond which a value has a bad status.
-    entry : Entry, optional
+    entry : ServerAccess, optional
         How it is entered; None: by anybody, not encrypted.
 
     Raises
@@ -71,7 +71,12 @@ class ReportServer:
     """
 
     def __init__(
-        self, machine: str, address: str, port: int, age_max: float, entry: Entry | None = None
+        self,
+        machine: str,
+        address: str,
+        port: int,
+        age_max: float,
+        entry: ServerAccess | None = None,
     ) -> None:
         if library_trouble():
             raise ParameterError(library_trouble())
@@ -175,7 +180,7 @@ class ReportServer:
         )
         await self._server.write_attribute_value(self._alarms, value)
 
-    async def _add(self, item: Told) -> Any:
+    async def _add(self, item: ReportedValue) -> Any:
         """Add a variable; its id is made of names alone, so that it is the same at every start."""
         ua = _library()
         parent, place = self._root, f'{self._machine}/{item.kind}'
@@ -208,7 +213,7 @@ class ReportServer:
 class Readers:
     """Everybody who may enter reads; nobody has the rights of an administrator, who may write."""
 
-    def __init__(self, entry: Entry | None) -> None:
+    def __init__(self, entry: ServerAccess | None) -> None:
         self._entry = entry
 
     def get_user(

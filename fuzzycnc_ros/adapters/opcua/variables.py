@@ -44,7 +44,7 @@ CAN_READ, CAN_WRITE = 1, 2
 NOT_READABLE = ('BadNotReadable', 'BadUserAccessDenied')
 
 
-class Kind(Enum):
+class VariableType(Enum):
     """Types of the values of a variable."""
 
     QUANTITY = 'a number (Float, Double, or an integer with a scale)'
@@ -69,7 +69,7 @@ class ControlVariable(Address):
         Whether the file gives a scale, which an integer needs.
     """
 
-    kind: Kind
+    kind: VariableType
     written: bool = False
     scale: float = 1.0
     scaled: bool = False
@@ -96,7 +96,7 @@ class Variables:
         self.steps = {
             name: abs(item.scale) if types[name].name in WHOLE else 0.0
             for name, item in variables.items()
-            if item.kind is Kind.QUANTITY
+            if item.kind is VariableType.QUANTITY
         }
 
     @classmethod
@@ -239,17 +239,17 @@ def _type_trouble(item: ControlVariable, kind: 'ua.VariantType | None', value: A
     if isinstance(value, (list, tuple)):
         return f'expected {item.kind.value} but it holds an array; name one element'
     fits = {
-        Kind.QUANTITY: name in REALS or name in WHOLE,
-        Kind.COUNT: name in WHOLE and WHOLE[name][0] >= NUMBER_BITS,
-        Kind.SWITCH: name == 'Boolean' or name in WHOLE,
-        Kind.TEXT: name == 'String',
+        VariableType.QUANTITY: name in REALS or name in WHOLE,
+        VariableType.COUNT: name in WHOLE and WHOLE[name][0] >= NUMBER_BITS,
+        VariableType.SWITCH: name == 'Boolean' or name in WHOLE,
+        VariableType.TEXT: name == 'String',
     }
     if not fits[item.kind]:
         return (
             f'expected {item.kind.value} but it is {name}; change its type in the control, or '
             'name another variable'
         )
-    if item.kind is Kind.QUANTITY and name in WHOLE and not item.scaled:
+    if item.kind is VariableType.QUANTITY and name in WHOLE and not item.scaled:
         return (
             f'{name} without a scale would round to whole units; give scale, the unit of one '
             'count, or use Float or Double'
@@ -275,13 +275,13 @@ def _access_trouble(item: ControlVariable, level: Any, status: str) -> str:
 
 def _si(name: str, item: ControlVariable, raw: Any) -> Any:
     """Return a value in its SI unit."""
-    if item.kind is Kind.TEXT:
+    if item.kind is VariableType.TEXT:
         return '' if raw is None else str(raw)
     if not isinstance(raw, (bool, int, float)):
         raise LinkError(f'{name}: {item.place}: expected {item.kind.value} but found {raw!r}')
-    if item.kind is Kind.SWITCH:
+    if item.kind is VariableType.SWITCH:
         return bool(raw)
-    if item.kind is Kind.COUNT:
+    if item.kind is VariableType.COUNT:
         return int(raw)
     number = item.scale * float(raw)
     if not math.isfinite(number):
@@ -291,9 +291,9 @@ def _si(name: str, item: ControlVariable, raw: Any) -> Any:
 
 def _raw(name: str, item: ControlVariable, kind: str, value: Any) -> Any:
     """Return what is written for a value in its SI unit."""
-    if item.kind is Kind.TEXT:
+    if item.kind is VariableType.TEXT:
         return str(value)
-    number = value if item.kind is Kind.COUNT else value / item.scale
+    number = value if item.kind is VariableType.COUNT else value / item.scale
     if kind not in WHOLE:
         return float(number)
     bits, signed = WHOLE[kind]

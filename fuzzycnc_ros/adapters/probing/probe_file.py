@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Annotated
 
 from fuzzycnc_ros.adapters.yaml_model import (
+    Choice,
     Field,
     Fields,
     Number,
     Numbers,
     Text,
-    Word,
     model_validator,
     read_file,
     wrong,
@@ -33,7 +33,7 @@ _Feed = Annotated[float, Number(1.0, 1e4, 'mm/min')]
 
 class _Artefact(Fields):
     name: Annotated[str, Text()] = Field(description='Name, kept in channels and messages')
-    kind: Annotated[str, Word(KINDS)] = Field(
+    kind: Annotated[str, Choice(KINDS)] = Field(
         description='sphere; ring: bore with its axis along Z; block: one face; setter: from above'
     )
     at: Annotated[tuple[float, ...], Numbers()] = Field(
@@ -45,7 +45,7 @@ class _Artefact(Fields):
     axes: Annotated[str, Text('[XYZ]{1,3}')] = Field(
         '', description='Axes to measure, such as XZ; all that it has if left out'
     )
-    face: Annotated[str, Word(FACES)] = Field(
+    face: Annotated[str, Choice(FACES)] = Field(
         'Z+', description='Face of a block that is touched: the way in which it looks'
     )
 

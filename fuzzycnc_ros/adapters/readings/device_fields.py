@@ -9,15 +9,15 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-from fuzzycnc_ros.adapters.readings.devices import SPINDLE, Channel, Device
+from fuzzycnc_ros.adapters.readings.devices import SPINDLE, Device, DeviceChannel
 from fuzzycnc_ros.adapters.yaml_model import (
     AfterValidator,
+    Choice,
     Field,
     Fields,
     Number,
     Numbers,
     Text,
-    Word,
     full,
     model_validator,
     wrong,
@@ -38,14 +38,14 @@ def nonzero(value: float) -> float:
 
 
 Scale = Annotated[float, Number(-1e9, 1e9), AfterValidator(nonzero)]
-SpeedUnit = Annotated[str, Word(tuple(SPEEDS))]
+SpeedUnit = Annotated[str, Choice(tuple(SPEEDS))]
 Positive = Number(1e-9, 1e12)
 
 
 class Scaling(Fields):
     """A value of a device; a protocol says in `CHANNEL` where it finds one, and adds fields."""
 
-    CHANNEL: ClassVar[type[Channel]]
+    CHANNEL: ClassVar[type[DeviceChannel]]
 
     scale: Scale = Field(1.0, description='degC = scale * raw + offset')
     offset: Annotated[float, Number(-1e9, 1e9)] = Field(
@@ -55,10 +55,10 @@ class Scaling(Fields):
         (), description='Raw values that mean no sensor, before the scale'
     )
 
-    def channel(self, name: str, unit: float, largest: float = math.inf) -> Channel:
+    def channel(self, name: str, unit: float, largest: float = math.inf) -> DeviceChannel:
         """Return the channel, by the fields that have the names of its own."""
         own = {item.name for item in fields(self.CHANNEL)} - {
-            item.name for item in fields(Channel)
+            item.name for item in fields(DeviceChannel)
         }
         return self.CHANNEL(
             name=name,
@@ -79,7 +79,7 @@ class _Divider(Fields):
     supply: Annotated[float, Positive] = Field(
         description='Raw value of the supply: 5 with volts, 1023 with counts of 10 bits'
     )
-    ntc: Annotated[str, Word(('low', 'high'))] = Field(
+    ntc: Annotated[str, Choice(('low', 'high'))] = Field(
         'low', description='low: between input and ground; high: between input and supply'
     )
 
@@ -236,7 +236,7 @@ class DeviceFields(Fields):
             'axes': tuple(axes),
         }
 
-    def axes(self) -> dict[str, Channel]:
+    def axes(self) -> dict[str, DeviceChannel]:
         """Return the channels of axes by the names of these; most protocols have none."""
         return {}
 

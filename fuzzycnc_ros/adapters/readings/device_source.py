@@ -10,7 +10,7 @@ import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
-from fuzzycnc_ros.adapters.readings.devices import SPINDLE, Channel, Device
+from fuzzycnc_ros.adapters.readings.devices import SPINDLE, Device, DeviceChannel
 from fuzzycnc_ros.adapters.readings.link import Reading
 from fuzzycnc_ros.adapters.readings.polling import Polled, Poller
 from fuzzycnc_ros.adapters.readings.reading_sets import ReadingSets
@@ -221,7 +221,7 @@ class DeviceHealth:
 class Spindle:
     """Publish the spindle speed."""
 
-    def __init__(self, node: Node, frame_id: str, channel: Channel) -> None:
+    def __init__(self, node: Node, frame_id: str, channel: DeviceChannel) -> None:
         self._frame_id, self._channel = frame_id, channel
         self._publisher = create_publisher(node, SpindleSpeed.TYPE, SPINDLE, STREAM)
         self._speed, self._status = np.nan, SpeedStatus.MISSING

@@ -14,7 +14,7 @@ SPINDLE = 'spindle_speed'
 
 
 @dataclass(frozen=True, kw_only=True)
-class Channel:
+class DeviceChannel:
     """One value of a device: quantity = scale * raw + offset.
 
     Parameters
@@ -54,7 +54,7 @@ class Device(ABC):
         Time between two readings [s].
     timeout : float
         Longest wait for an answer [s].
-    channels : tuple of Channel
+    channels : tuple of DeviceChannel
         Sensors in the order of the file, then axes, the spindle speed last.
     has_spindle : bool
         Whether the last channel is the spindle speed.
@@ -65,7 +65,7 @@ class Device(ABC):
     name: str
     period: float
     timeout: float
-    channels: tuple[Channel, ...]
+    channels: tuple[DeviceChannel, ...]
     has_spindle: bool
     axes: tuple[str, ...] = ()
 

@@ -22,19 +22,19 @@ from fuzzycnc_ros.adapters.readings.device_fields import (
     SensorFields,
     SpeedFields,
 )
-from fuzzycnc_ros.adapters.readings.devices import Channel, Device
+from fuzzycnc_ros.adapters.readings.devices import Device, DeviceChannel
 from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading, port_trouble
 from fuzzycnc_ros.adapters.readings.plausible_value import NUMBER, reading_of, shown
 from fuzzycnc_ros.adapters.readings.pushed import Pushed
 from fuzzycnc_ros.adapters.yaml_model import (
     AfterValidator,
     BeforeValidator,
+    Choice,
     Field,
     Fields,
     Number,
     Shorthand,
     Text,
-    Word,
     model_validator,
     wrong,
 )
@@ -54,7 +54,7 @@ _COLUMN = re.compile(r'\s*[,;\t]\s*|\s+')
 
 
 @dataclass(frozen=True, kw_only=True)
-class Named(Channel):
+class Named(DeviceChannel):
     """A value in lines, by its name there."""
 
     key: str
@@ -137,7 +137,7 @@ class LineFields(Conversion, DeviceFields):
     INHERITED = CONVERSION
     SHORTHAND = 'key'
 
-    protocol: Annotated[str, Word(('lines',))]
+    protocol: Annotated[str, Choice(('lines',))]
     port: Annotated[str, Text(ADDRESS), AfterValidator(_address)] = Field(
         description='File of a serial port, or HOST:PORT'
     )

@@ -17,16 +17,16 @@ from urllib.parse import quote, urlsplit
 
 from fuzzycnc_ros.adapters.opcua.file_fields import File
 from fuzzycnc_ros.adapters.readings.device_fields import DeviceFields, Scaling, SensorFields
-from fuzzycnc_ros.adapters.readings.devices import Channel, Device
+from fuzzycnc_ros.adapters.readings.devices import Device, DeviceChannel
 from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
 from fuzzycnc_ros.adapters.readings.plausible_value import reading_of, shown
 from fuzzycnc_ros.adapters.yaml_model import (
     SWITCH,
     AfterValidator,
+    Choice,
     Field,
     Shorthand,
     Text,
-    Word,
     address_of,
     model_validator,
     wrong,
@@ -43,7 +43,7 @@ REFUSED_PAUSE = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Heater(Channel):
+class Heater(DeviceChannel):
     """A field of one of Klipper's objects."""
 
     object: str
@@ -130,7 +130,7 @@ class MoonrakerFields(DeviceFields):
     INHERITED = ()
     SHORTHAND = 'object'
 
-    protocol: Annotated[str, Word(('moonraker',))]
+    protocol: Annotated[str, Choice(('moonraker',))]
     url: Annotated[str, Text(r'(http|ws)s?://.+'), AfterValidator(_url)] = Field(
         description='Address, http://HOST:PORT or ws://HOST:PORT, with s behind if encrypted'
     )
@@ -142,7 +142,7 @@ class MoonrakerFields(DeviceFields):
     api_key: File = Field(
         default_factory=Path, description='File with the key, where Moonraker wants one'
     )
-    allow_plain_password: Annotated[bool, Word(SWITCH)] = Field(
+    allow_plain_password: Annotated[bool, Choice(SWITCH)] = Field(
         False, description='Whether the key may go out so that others can read it'
     )
     sensors: dict[str, Annotated[_SensorHeater, Shorthand('object')]] = Field(

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Annotated
 
 from fuzzycnc_ros.adapters.readings.device_fields import DeviceFields, Scaling, SensorFields
-from fuzzycnc_ros.adapters.readings.devices import Channel, Device
+from fuzzycnc_ros.adapters.readings.devices import Device, DeviceChannel
 from fuzzycnc_ros.adapters.readings.link import Link, LinkError, Reading
 from fuzzycnc_ros.adapters.readings.plausible_value import reading_of, shown
-from fuzzycnc_ros.adapters.yaml_model import AfterValidator, Field, Shorthand, Text, Word, wrong
+from fuzzycnc_ros.adapters.yaml_model import AfterValidator, Choice, Field, Shorthand, Text, wrong
 
 FOLDER = '/sys/bus/w1/devices'
 IDENTIFIER = r'[0-9a-f]{2}-[0-9a-f]{12}'
@@ -29,7 +29,7 @@ _OF_SLAVE = re.compile(r't=(-?[0-9]+)\s*$')
 
 
 @dataclass(frozen=True, kw_only=True)
-class Slave(Channel):
+class Slave(DeviceChannel):
     """A sensor on the bus, by its identifier."""
 
     id: str
@@ -76,7 +76,7 @@ class OneWireFields(DeviceFields):
     INHERITED = ()
     SHORTHAND = 'id'
 
-    protocol: Annotated[str, Word(('one_wire',))]
+    protocol: Annotated[str, Choice(('one_wire',))]
     folder: Annotated[str, Text()] = Field(FOLDER, description='Where the kernel shows sensors')
     sensors: dict[str, Annotated[_SensorSlave, Shorthand('id')]] = Field(
         {}, description='Sensors by name; a mere text is the identifier'

@@ -5,7 +5,7 @@
 import math
 import re
 
-from fuzzycnc_ros.adapters.readings.devices import SPINDLE, Channel
+from fuzzycnc_ros.adapters.readings.devices import SPINDLE, DeviceChannel
 from fuzzycnc_ros.adapters.readings.link import Reading
 from fuzzycnc_ros.components.thermal.temperature_acquisition import TINY
 
@@ -24,13 +24,13 @@ def shown(raw: object) -> str:
 
 
 def reading_of(
-    channel: Channel, raw: object, place: str, remedy: str, holder: str = 'found'
+    channel: DeviceChannel, raw: object, place: str, remedy: str, holder: str = 'found'
 ) -> Reading:
     """Return the quantity in a raw value, or why there is none.
 
     Parameters
     ----------
-    channel : Channel
+    channel : DeviceChannel
         What the raw value means.
     raw : object
         What the device gave.
@@ -69,7 +69,7 @@ def no_temperature(raw: int | float, value: Reading) -> str:
     return ''
 
 
-def scaled(channel: Channel, raw: int | float) -> Reading:
+def scaled(channel: DeviceChannel, raw: int | float) -> Reading:
     """Return scale * raw + offset, raw that of a thermistor in degC; or why that is none."""
     if channel.ntc is not None:
         found = channel.ntc.temperature(raw)

@@ -172,7 +172,7 @@ def _run_live(
     out: Path, controller: LinuxcncSimulation, seed: int, rate: float, progress: Steps
 ) -> tuple[dict[str, Any], bool]:
     """Run the graph for a duty; return what the body says, and whether LinuxCNC cut to the end."""
-    from fuzzycnc_ros.cli.live.operator_client import Operator
+    from fuzzycnc_ros.cli.live.operator_client import OperatorClient
     from fuzzycnc_ros.components.machine.simulated_machine_config import MACHINE_DUTIES
     from fuzzycnc_ros.runtime.records import Temperatures
     from fuzzycnc_ros.studies.linuxcnc_duty import duty_program
@@ -193,7 +193,7 @@ def _run_live(
         with progress.step(f'started {len(specs)} nodes'):
             for spec in specs:
                 graph.start(spec)
-            operator = Operator(MACHINE, graph.check)
+            operator = OperatorClient(MACHINE, graph.check)
         with operator, progress.step(f'compensated {DUTY} while LinuxCNC cut circles') as bar:
             # Only when machine time passes does the bridge repeat what it has told.
             graph.start(NodeSpec('simulated_body', body))

@@ -121,7 +121,7 @@ def _run_live(
     out: Path, bags: list[Path], seed: int, progress: Steps
 ) -> tuple[dict[str, Any], float]:
     """Run the graph over the unseen duties; return how the machine says it went, and the time."""
-    from fuzzycnc_ros.cli.live.operator_client import Operator
+    from fuzzycnc_ros.cli.live.operator_client import OperatorClient
 
     specs = node_specs(
         duties=UNSEEN,
@@ -134,7 +134,7 @@ def _run_live(
         with progress.step(f'started {len(specs) - 1} nodes'):
             for spec in specs[:-1]:
                 graph.start(spec)
-            operator = Operator(MACHINE, graph.check)
+            operator = OperatorClient(MACHINE, graph.check)
         with operator:
             with progress.step('selected sensors over DDS (service select_sensors)'):
                 operator.select_sensors(bags)

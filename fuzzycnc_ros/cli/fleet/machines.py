@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from fuzzycnc_ros.studies.fleet.evaluation import Problem
-    from fuzzycnc_ros.studies.fleet.machines import MachineBags, OfMachine
+    from fuzzycnc_ros.studies.fleet.machines import MachineBags, MachineResult
     from fuzzycnc_ros.studies.page.table import Table
 
 Runs = Annotated[
@@ -116,7 +116,7 @@ def train(
             say(f'{model_file(out, piece.machine)}: stays as it is; --force trains it anew')
         return not there
 
-    def keep(found: 'OfMachine') -> None:
+    def keep(found: 'MachineResult') -> None:
         if found.result is not None:
             write_text(model_file(out, found.machine), found.result['model'])
 
@@ -208,14 +208,14 @@ def compare(
 
 def _by_machine(
     bags: 'Sequence[Path]',
-    work: 'Callable[[MachineBags], OfMachine]',
+    work: 'Callable[[MachineBags], MachineResult]',
     runs: int,
     dask: str | None,
     workers: int | None,
     machine_by: str,
     is_wanted: 'Callable[[MachineBags], bool]' = lambda piece: True,
-    keep: 'Callable[[OfMachine], None]' = lambda found: None,
-) -> 'tuple[list[OfMachine], list[Problem]]':
+    keep: 'Callable[[MachineResult], None]' = lambda found: None,
+) -> 'tuple[list[MachineResult], list[Problem]]':
     """Find the machines of bags and do the work on each; return all that could not be used."""
     from fuzzycnc_ros.studies.fleet.machines import each_machine, group
 
@@ -228,7 +228,7 @@ def _by_machine(
     return found, [*problems, *(problem for item in found for problem in item.problems)]
 
 
-def trained_table(found: 'Sequence[OfMachine]') -> 'Table':
+def trained_table(found: 'Sequence[MachineResult]') -> 'Table':
     """Return what the models of machines leave on held-out bags."""
     from fuzzycnc_ros.studies.page.table import Column, Table
     from fuzzycnc_ros.studies.thermal.summary import candidate_label
@@ -257,7 +257,7 @@ def trained_table(found: 'Sequence[OfMachine]') -> 'Table':
     return Table('Residual on held-out samples [µm]', columns, tuple(rows))
 
 
-def compared_table(found: 'Sequence[OfMachine]') -> 'Table':
+def compared_table(found: 'Sequence[MachineResult]') -> 'Table':
     """Return which model that can run is best on each machine and channel, and what it leaves."""
     from fuzzycnc_ros.studies.page.table import Column, Table
     from fuzzycnc_ros.studies.thermal.summary import candidate_label
@@ -292,5 +292,7 @@ def compared_table(found: 'Sequence[OfMachine]') -> 'Table':
     return Table('Residual over all held-out bags [µm]', columns, tuple(rows))
 
 
-def _with_results(found: 'Sequence[OfMachine]') -> list[tuple['OfMachine', dict[str, Any]]]:
+def _with_results(
+    found: 'Sequence[MachineResult]',
+) -> list[tuple['MachineResult', dict[str, Any]]]:
     return [(item, item.result) for item in found if item.result is not None]

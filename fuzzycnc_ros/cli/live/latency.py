@@ -14,14 +14,15 @@ import numpy as np
 from rosgraph_msgs.msg import Clock
 
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
-from fuzzycnc_ros.cli.live.operator_client import DISCOVERY_TIMEOUT, Operator
+from fuzzycnc_ros.cli.live.operator_client import DISCOVERY_TIMEOUT, OperatorClient
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.ros.bring_up import NodeSpec
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos, subscription_qos
 from fuzzycnc_ros.runtime.component import LATCHED, STREAM, Durability
 from fuzzycnc_ros.runtime.convert import encode, stamp_of
-from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import (
     Compensation,
     CompensationApplied,
@@ -72,14 +73,14 @@ def measure_latency(model_file: Path, folder: Path, samples: int = SAMPLES) -> l
                 {'autostart': True, 'axes': list(dict.fromkeys(model.axis)), 'use_sim_time': True},
             ),
         )
-        with Operator(MACHINE, graph.check) as operator:
-            return _Probe(operator, model).run(samples)
+        with OperatorClient(MACHINE, graph.check) as operator:
+            return _LatencyProbe(operator, model).run(samples)
 
 
-class _Probe:
+class _LatencyProbe:
     """Publishes samples one by one and waits for the answer to each."""
 
-    def __init__(self, operator: Operator, model: ThermalModel) -> None:
+    def __init__(self, operator: OperatorClient, model: ThermalModel) -> None:
         self._operator = operator
         self._model = model
         self._interval = nanoseconds(model.interval)
@@ -151,7 +152,7 @@ class _Probe:
             CompensationApplied(
                 stamp=stamp,
                 epoch=0,
-                status=int(AppliedStatus.IDLE),
+                status=int(OffsetStatus.IDLE),
                 reason='',
                 axis=axes,
                 offset=nothing,

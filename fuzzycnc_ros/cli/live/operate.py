@@ -21,7 +21,7 @@ from fuzzycnc_ros.ros.bring_up import machine_name
 from fuzzycnc_ros.ros.presence import GraphError
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.cli.live.operator_client import Operator
+    from fuzzycnc_ros.cli.live.operator_client import OperatorClient
     from fuzzycnc_ros.runtime.records import CompensationApplied
 
 HELP = """Operate a running machine: status, activate, set limits, reference, probe and mark.
@@ -263,10 +263,10 @@ def probe(
     if deviation is not None:
         spread = quantity('--deviation', deviation, LENGTHS, example='1um')
     check_ros('operate')
-    from fuzzycnc_ros.cli.live.operator_client import Operator
+    from fuzzycnc_ros.cli.live.operator_client import OperatorClient
     from fuzzycnc_ros.ros.probing import check_unprobed, probe_record
 
-    with Operator(machine, patience=PATIENCE) as operator:
+    with OperatorClient(machine, patience=PATIENCE) as operator:
         operator.pause(LISTENING)
         check_unprobed(machine, operator.has_publisher)
         applied = _applied(operator)
@@ -346,14 +346,14 @@ def mark(
                 f'{name}: expected a text of 1 to {longest} characters but found {len(text)}'
             )
     check_ros('operate')
-    from fuzzycnc_ros.cli.live.operator_client import Operator
+    from fuzzycnc_ros.cli.live.operator_client import OperatorClient
     from fuzzycnc_ros.ros.recording import is_recorded
     from fuzzycnc_ros.runtime.component import HISTORY
     from fuzzycnc_ros.runtime.provenance import machine_event
     from fuzzycnc_ros.studies.thermal_test.recording import MARK
 
     machine = machine_name(machine)
-    with Operator(machine, patience=PATIENCE) as operator:
+    with OperatorClient(machine, patience=PATIENCE) as operator:
         operator.pause(FOUND)
         said = {'phase': phase, 'by': visible(by)}
         node = operator.node.get_name()
@@ -371,7 +371,7 @@ def mark(
     say(f'{machine}: {phase} has begun, as the recorder has noted')
 
 
-def _now(operator: 'Operator') -> int:
+def _now(operator: 'OperatorClient') -> int:
     """Return the machine time [ns]: on a real machine that of the clock."""
     from fuzzycnc_ros.runtime.records import MachineState
 
@@ -417,10 +417,10 @@ def _nobody(machine: str) -> str:
     )
 
 
-def _operator(machine: str, node: str, *, managed: bool = True) -> 'Operator':
+def _operator(machine: str, node: str, *, managed: bool = True) -> 'OperatorClient':
     """Return an operator at a node that must exist, and have a lifecycle if it is managed."""
     check_ros('operate')
-    from fuzzycnc_ros.cli.live.operator_client import Operator
+    from fuzzycnc_ros.cli.live.operator_client import OperatorClient
     from fuzzycnc_ros.registry import COMPONENTS
 
     names = [name for name, item in COMPONENTS.items() if item.MANAGED or not managed]
@@ -433,7 +433,7 @@ def _operator(machine: str, node: str, *, managed: bool = True) -> 'Operator':
         if time.monotonic() - began > PATIENCE / 2 and node not in seen():
             raise GraphError(_nobody(machine).replace('nodes', node, 1))
 
-    operator = Operator(machine, alive, patience=PATIENCE)
+    operator = OperatorClient(machine, alive, patience=PATIENCE)
     began = time.monotonic()
 
     def seen() -> list[str]:
@@ -446,7 +446,7 @@ def _operator(machine: str, node: str, *, managed: bool = True) -> 'Operator':
     return operator
 
 
-def _transition(operator: 'Operator', machine: str, node: str, label: str) -> None:
+def _transition(operator: 'OperatorClient', machine: str, node: str, label: str) -> None:
     """Carry a transition out.
 
     Raises
@@ -471,7 +471,7 @@ def _why(machine: str, node: str) -> str:
         monitor.close()
 
 
-def _applied(operator: 'Operator') -> 'CompensationApplied | None':
+def _applied(operator: 'OperatorClient') -> 'CompensationApplied | None':
     """Return the read-back of the machine side, None if it has none."""
     from fuzzycnc_ros.runtime.records import CompensationApplied
 

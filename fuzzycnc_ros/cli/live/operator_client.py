@@ -39,7 +39,7 @@ found its client yet drops it."""
 Progress = Callable[[str, str, int, int], None]
 
 
-class Operator:
+class OperatorClient:
     """A ROS node that acts for a person.
 
     Parameters
@@ -69,7 +69,7 @@ class Operator:
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
 
-    def __enter__(self) -> 'Operator':
+    def __enter__(self) -> 'OperatorClient':
         """Return the operator."""
         return self
 

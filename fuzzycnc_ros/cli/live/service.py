@@ -17,7 +17,7 @@ from fuzzycnc_ros.cli.live.page_process import Page
 from fuzzycnc_ros.cli.live.service_units import (
     MARK,
     PAGE,
-    Place,
+    ServiceLocation,
     Unit,
     graph_unit,
     installing_user,
@@ -124,7 +124,7 @@ def install(
         check_no_secret(word.partition('=')[2] if word.startswith('--') else word)
     if run_as and not system:
         raise GraphError('expected --system, too: a service of this user has its rights')
-    place = Place(system, run_as or installing_user(), Path.cwd(), passed_on(os.environ))
+    place = ServiceLocation(system, run_as or installing_user(), Path.cwd(), passed_on(os.environ))
     units = [graph_unit(place, machine, words)]
     if record is not None:
         record = record.absolute()

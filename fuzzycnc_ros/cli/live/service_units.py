@@ -73,7 +73,7 @@ class Unit:
 
 
 @dataclass(frozen=True)
-class Place:
+class ServiceLocation:
     """Folders and user of services.
 
     Attributes
@@ -115,7 +115,7 @@ PAGE = 'fuzzycnc-page.service'
 """The unit of the live page, which shows all machines."""
 
 
-def graph_unit(place: Place, machine: str, options: Sequence[str]) -> Unit:
+def graph_unit(place: ServiceLocation, machine: str, options: Sequence[str]) -> Unit:
     """Return the unit of a machine's graph, with more options of `fuzzycnc up`."""
     state = f'fuzzycnc/{machine}'
     command = [*_python('cli.main'), 'up', '--machine', machine]
@@ -132,7 +132,9 @@ def graph_unit(place: Place, machine: str, options: Sequence[str]) -> Unit:
     )
 
 
-def record_unit(place: Place, machine: str, folder: Path, options: Sequence[str]) -> Unit:
+def record_unit(
+    place: ServiceLocation, machine: str, folder: Path, options: Sequence[str]
+) -> Unit:
     """Return the unit of a machine's recording: a bag in a folder, named by when it begins."""
     command = [*_python('cli.main'), 'record', '--machine', machine, *options]
     stem = shlex.quote(str(folder / f'{file_word(machine)}-'))
@@ -148,7 +150,7 @@ def record_unit(place: Place, machine: str, folder: Path, options: Sequence[str]
     )
 
 
-def page_unit(place: Place, port: int, bags: Path | None) -> Unit:
+def page_unit(place: ServiceLocation, port: int, bags: Path | None) -> Unit:
     """Return the unit of the live page."""
     command = [*_python('nodes.dashboard'), '--ros-args', '-p', f'port:={port}']
     if bags is not None:
@@ -162,7 +164,7 @@ def _python(module: str) -> list[str]:
 
 
 def _unit(
-    place: Place,
+    place: ServiceLocation,
     name: str,
     description: str,
     command: str,

@@ -22,7 +22,7 @@ COMPUTES = 0.1
 lines; the middleware's own threads need less."""
 
 
-class State(Enum):
+class ProcessState(Enum):
     """States of a supervised process."""
 
     RUNNING = 'running'
@@ -74,7 +74,7 @@ class Supervised:
     specs: tuple[NodeSpec, ...]
     resume: set[str]
     beside: bool = False
-    state: State = State.RUNNING
+    state: ProcessState = ProcessState.RUNNING
     ends: list[str] = field(default_factory=list)
     begun: list[float] = field(default_factory=list)
     restarts: int = 0
@@ -136,14 +136,14 @@ class Supervisor:
         """True if all that make time have come to their end, or nothing is left to watch."""
         own = [item for item in self.processes if not item.beside]
         makers = [item for item in own if item.makes_time] or own
-        done = (State.ENDED, State.GIVEN_UP)
+        done = (ProcessState.ENDED, ProcessState.GIVEN_UP)
         return bool(makers) and all(item.state in done for item in makers)
 
     @property
     def given_up(self) -> list[str]:
         """Processes of the run that are not started any more."""
         own = (item for item in self.processes if not item.beside)
-        return [item.title for item in own if item.state is State.GIVEN_UP]
+        return [item.title for item in own if item.state is ProcessState.GIVEN_UP]
 
     @property
     def restarts(self) -> dict[str, int]:
@@ -161,13 +161,13 @@ class Supervisor:
         """
         self._attend(now)
         for process in self.processes:
-            if process.state is State.RUNNING:
+            if process.state is ProcessState.RUNNING:
                 code = process.graph.poll().get(process.name)
                 if code is not None:
                     self._ended(process, code, now)
                 elif not process.makes_time:
                     self._end_if_it_hangs(process, now)
-            elif process.state is State.WAITING and now >= process.start_at:
+            elif process.state is ProcessState.WAITING and now >= process.start_at:
                 process.restarts += 1
                 process.begun.append(now)
                 process.specs = tuple(
@@ -216,7 +216,7 @@ class Supervisor:
         for spec in process.specs:
             self._lifecycles.begin(process.graph.machine, spec.name)
         process.graph.start(*process.specs)
-        process.state = State.RUNNING
+        process.state = ProcessState.RUNNING
         process.reason, process.worked, process.hung_at = '', None, 0.0
         self._tell(f'{process.title} runs as process {process.graph.pid(process.name)}')
 
@@ -229,7 +229,7 @@ class Supervisor:
         if process.makes_time:
             if code:
                 raise GraphError(f'{process.title} {process.reason}')
-            process.state = State.ENDED
+            process.state = ProcessState.ENDED
             return
         if code == REFUSED and not process.restarts and not process.beside:
             raise GraphError(f'{process.title} {process.reason}')
@@ -238,11 +238,11 @@ class Supervisor:
         process.begun = [time for time in process.begun if now - time < policy.window]
         delay = None if code == REFUSED else policy.delay_after(process.begun, now)
         if delay is None:
-            process.state = State.GIVEN_UP
+            process.state = ProcessState.GIVEN_UP
             after = f' after {len(process.begun)} restarts within {policy.window:g} s'
             self._tell(f'{process.title} {process.reason}; given up{after * (code != REFUSED)}')
             return
-        process.state, process.start_at = State.WAITING, now + delay
+        process.state, process.start_at = ProcessState.WAITING, now + delay
         self._tell(f'{process.title} {process.reason}; starts again in {delay:g} s')
 
     def _note_lifecycles(self, process: Supervised) -> None:

@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from fuzzycnc_ros import nodes
-from fuzzycnc_ros.cli.live.operator_client import Operator
+from fuzzycnc_ros.cli.live.operator_client import OperatorClient
 from fuzzycnc_ros.cli.live.supervision import SILENT
 from fuzzycnc_ros.ros.presence import lives
 from fuzzycnc_ros.ros.topics import create_subscription, message_class, subscription_qos
@@ -75,7 +75,7 @@ class Monitor:
     def __init__(self, machines: Sequence[str]) -> None:
         self.views: dict[tuple[str, str], NodeView] = {}
         self._began = time.monotonic()
-        self.operator = Operator('')
+        self.operator = OperatorClient('')
         node = self.operator.node
         node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 1000)
         # Latched by every node of a machine: of each the newest is wanted.

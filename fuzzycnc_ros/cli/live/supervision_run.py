@@ -12,8 +12,8 @@ from rich.console import Console
 
 from fuzzycnc_ros.bags.recording_loss import LACKING, loss
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses, process_name
-from fuzzycnc_ros.cli.live.supervision import State, Supervised, Supervisor
-from fuzzycnc_ros.cli.live.supervision_view import View
+from fuzzycnc_ros.cli.live.supervision import ProcessState, Supervised, Supervisor
+from fuzzycnc_ros.cli.live.supervision_view import ProcessView
 from fuzzycnc_ros.ros.bring_up import ACTIVE_TIMEOUT, RECORDER_STOP, NodeSpec
 from fuzzycnc_ros.ros.presence import TIME_SOURCES, GraphError, Presence, at_work, in_the_way
 from fuzzycnc_ros.ros.service_manager import ServiceManager
@@ -99,7 +99,7 @@ def supervise(
     The service manager, if there is one, learns when all nodes have reported, and as long as they
     do.  A live page beside them is started again like a node, but nothing depends on it.
     """
-    with View(console) as view:
+    with ProcessView(console) as view:
         supervisor = Supervisor(view.tell, monitor)
         try:
             if page is not None:
@@ -131,7 +131,7 @@ def supervise(
     return {**document, 'machines': told}
 
 
-def _watch(supervisor: Supervisor, monitor: 'Monitor', view: View) -> None:
+def _watch(supervisor: Supervisor, monitor: 'Monitor', view: ProcessView) -> None:
     """Listen for a moment, look after the processes, show it."""
     monitor.spin()
     supervisor.poll(time.monotonic())
@@ -147,9 +147,9 @@ def silent_nodes(processes: Sequence[Supervised], monitor: 'Monitor', now: float
     for process in processes:
         if process.beside:
             continue
-        if process.state is State.GIVEN_UP:
+        if process.state is ProcessState.GIVEN_UP:
             found.append(process.title)
-        if process.state is not State.RUNNING:
+        if process.state is not ProcessState.RUNNING:
             continue
         coming = bool(process.begun) and now - process.begun[-1] < COMING_BACK
         for spec in process.specs:
@@ -172,7 +172,7 @@ def _tell(manager: ServiceManager, silent: Sequence[str]) -> None:
 def _bring_up(
     supervisor: Supervisor,
     monitor: 'Monitor',
-    view: View,
+    view: ProcessView,
     graphs: Sequence[GraphProcesses],
     plans: Sequence[Plan],
 ) -> None:
@@ -197,7 +197,7 @@ def _bring_up(
 
 
 def _await_active(
-    supervisor: Supervisor, monitor: 'Monitor', view: View, process: Supervised, node: str
+    supervisor: Supervisor, monitor: 'Monitor', view: ProcessView, process: Supervised, node: str
 ) -> None:
     """Wait until a managed node is active; say why if it does not get so far."""
     machine = process.graph.machine
@@ -205,7 +205,7 @@ def _await_active(
     while not monitor.was_active(machine, node):
         _watch(supervisor, monitor, view)
         late = time.monotonic() > until
-        if late or process.state in (State.GIVEN_UP, State.ENDED):
+        if late or process.state in (ProcessState.GIVEN_UP, ProcessState.ENDED):
             state = monitor.lifecycle(machine, node) or 'not heard of'
             why = process.reason or '; '.join(monitor.view(machine, node).trouble)
             why = why or process.graph.last_words(process.name)
@@ -240,14 +240,14 @@ def _lacking(supervisor: Supervisor) -> list[str]:
             continue
         code = process.graph.poll().get(process.name)
         reasons = list(process.ends)
-        if code == -signal.SIGKILL and process.state is State.RUNNING:
+        if code == -signal.SIGKILL and process.state is ProcessState.RUNNING:
             bags = ', '.join(f'{bag}' for bag in _bags(process))
             found.append(
                 f'{process.title} did not close its bag within {RECORDER_STOP:g} s and was '
                 'killed, the disk was too slow: the recording lacks what came last; make it whole '
                 f'with `fuzzycnc info {bags} --repair`'
             )
-        elif code and process.state is State.RUNNING:  # it was asked to end, and failed
+        elif code and process.state is ProcessState.RUNNING:  # it was asked to end, and failed
             reasons.append(f'ended with code {code}: {process.graph.last_words(process.name)}')
         if reasons:
             found.append(f'{process.title} {reasons[0]}: the recording lacks what came then')

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from fuzzycnc_ros.cli.background_output import BackgroundOutput
 from fuzzycnc_ros.cli.live.graph_processes import node_title
-from fuzzycnc_ros.cli.live.supervision import State, Supervised
+from fuzzycnc_ros.cli.live.supervision import ProcessState, Supervised
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.runtime.component import Level
 
@@ -23,7 +23,11 @@ REFRESH = 2.0
 """Pictures of the table per second."""
 SILENCE = 'silent, though its process runs: it hangs, was stopped, or the computer is too busy'
 _STYLES = {Level.OK: 'green', Level.WARN: 'yellow', Level.ERROR: 'red', Level.STALE: 'red'}
-_STATES = {State.WAITING: 'starts again', State.GIVEN_UP: 'given up', State.ENDED: 'ended'}
+_STATES = {
+    ProcessState.WAITING: 'starts again',
+    ProcessState.GIVEN_UP: 'given up',
+    ProcessState.ENDED: 'ended',
+}
 
 
 def row(process: Supervised, node: str, view: 'NodeView', now: float) -> tuple[str, ...]:
@@ -35,7 +39,7 @@ def row(process: Supervised, node: str, view: 'NodeView', now: float) -> tuple[s
         if view.silent(now):
             state = f'silent for {now - view.heard_at:.0f} s'
         trouble = '; '.join(view.trouble)
-    running = process.state is State.RUNNING and not view.silent(now)
+    running = process.state is ProcessState.RUNNING and not view.silent(now)
     activity = view.activity if running else {}
     cells = (
         node_title(process.graph.machine, node),
@@ -60,13 +64,13 @@ def table(processes: Sequence[Supervised], monitor: 'Monitor', now: float) -> Ta
         for spec in process.specs:
             view = monitor.view(process.graph.machine, spec.name)
             level = view.level
-            if process.state in (State.WAITING, State.GIVEN_UP) or view.silent(now):
+            if process.state in (ProcessState.WAITING, ProcessState.GIVEN_UP) or view.silent(now):
                 level = Level.ERROR
             shown.add_row(*row(process, spec.name, view, now), style=_STYLES[level])
     return shown
 
 
-class View:
+class ProcessView:
     """Shows processes: redraws a table on a terminal, writes lines of what changes elsewhere.
 
     Parameters
@@ -83,7 +87,7 @@ class View:
         if console.is_terminal:
             self._live = Live(console=console, auto_refresh=False, transient=False)
 
-    def __enter__(self) -> 'View':
+    def __enter__(self) -> 'ProcessView':
         """Begin the table."""
         if self._live is not None:
             self._live.start()
@@ -118,7 +122,7 @@ class View:
     ) -> None:
         """Write lifecycle states, silence and errors that come up and that are over."""
         for process in processes:
-            if process.state is not State.RUNNING:
+            if process.state is not ProcessState.RUNNING:
                 continue  # how it ended has been told, and what is known of it is of before
             for spec in process.specs:
                 name = node_title(process.graph.machine, spec.name)

@@ -16,7 +16,7 @@ from fuzzycnc_ros.ros.bring_up import machine_name
 from fuzzycnc_ros.ros.presence import GraphError
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.cli.live.operator_client import Operator
+    from fuzzycnc_ros.cli.live.operator_client import OperatorClient
     from fuzzycnc_ros.components.dashboard.machine_view import MachineView
     from fuzzycnc_ros.ros.machine_watch import MachineWatch
 
@@ -48,12 +48,12 @@ def watch(
     """
     check_folder(json_file)
     check_ros('watch')
-    from fuzzycnc_ros.cli.live.operator_client import Operator
+    from fuzzycnc_ros.cli.live.operator_client import OperatorClient
     from fuzzycnc_ros.ros.machine_watch import MachineWatch
 
     name = machine_name(machine) if machine else ''
     console = Terminal()
-    with Operator('') as operator, closing(MachineWatch(operator.node, name)) as watched:
+    with OperatorClient('') as operator, closing(MachineWatch(operator.node, name)) as watched:
         view = _found(operator, watched, name)
         if once or not console.is_terminal:
             _settle(operator, watched, view)
@@ -69,7 +69,7 @@ def watch(
                 _listen(operator, watched, REFRESH)
 
 
-def _found(operator: 'Operator', watched: 'MachineWatch', name: str) -> 'MachineView':
+def _found(operator: 'OperatorClient', watched: 'MachineWatch', name: str) -> 'MachineView':
     """Return the view of the machine that is meant.
 
     Raises
@@ -95,7 +95,7 @@ def _found(operator: 'Operator', watched: 'MachineWatch', name: str) -> 'Machine
     )
 
 
-def _settle(operator: 'Operator', watched: 'MachineWatch', view: 'MachineView') -> None:
+def _settle(operator: 'OperatorClient', watched: 'MachineWatch', view: 'MachineView') -> None:
     """Listen until every node has reported and there are data, one that works offsets out too.
 
     Those that are known may be all that discovery has found yet.
@@ -105,7 +105,7 @@ def _settle(operator: 'Operator', watched: 'MachineWatch', view: 'MachineView') 
         _listen(operator, watched, 0.05)
 
 
-def _listen(operator: 'Operator', watched: 'MachineWatch', duration: float) -> None:
+def _listen(operator: 'OperatorClient', watched: 'MachineWatch', duration: float) -> None:
     """Take what comes within some wall time [s], and look who is there."""
     operator.pause(duration)
     watched.look()

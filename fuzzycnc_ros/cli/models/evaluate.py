@@ -20,9 +20,9 @@ from fuzzycnc_ros.cli.console import (
     write_report,
 )
 from fuzzycnc_ros.cli.models.many_bags import (
+    BatchResults,
     Jobs,
     ManyBags,
-    Sorted,
     jobs_of,
     say_bad,
     with_each,
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.studies.thermal.report_data import CompensationRun
 
 
-class Judged(NamedTuple):
+class BagEvaluation(NamedTuple):
     """Result of a bag, gaps in what the model reads; page and probed run if asked for."""
 
     evaluation: 'Evaluation'
@@ -181,7 +181,7 @@ def evaluate(
     )
     there = find_bags(bags)
     with progress_bar('evaluating') as tell:
-        found: Sorted[Judged] = with_each(work, there, processes, tell)
+        found: BatchResults[BagEvaluation] = with_each(work, there, processes, tell)
     judged = [item.evaluation for item in found.results]
     bands = [run_band_remark(item, len(judged)) for item in judged]
     probed = [item.probed for item in found.results if item.probed is not None]
@@ -228,7 +228,7 @@ def judge_bag(
     end: float | None,
     probe_every: float | None,
     page: bool,
-) -> Judged:
+) -> BagEvaluation:
     """Judge a model on one bag; what a page needs besides is made only if there is one.
 
     Raises
@@ -250,7 +250,7 @@ def judge_bag(
 
         probed = evaluate_probed(trained, run, result, probe_every)
     shown = _page(trained, run, result) if page else None
-    return Judged(result, bridged, shown, probed, tuple(offset_lines([recorded])))
+    return BagEvaluation(result, bridged, shown, probed, tuple(offset_lines([recorded])))
 
 
 def _show(judged: 'list[Evaluation]', model: 'ThermalModel') -> None:
@@ -292,7 +292,7 @@ def _show_probed(probed: 'Sequence[ProbedEvaluation]') -> None:
 
 
 def _document(
-    found: Sorted[Judged], file: Path, model: 'ThermalModel', text: str
+    found: BatchResults[BagEvaluation], file: Path, model: 'ThermalModel', text: str
 ) -> dict[str, Any]:
     """Return all figures."""
     from fuzzycnc_ros.core.names import text_hash

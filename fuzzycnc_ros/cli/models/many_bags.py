@@ -61,7 +61,7 @@ class _Refused:
 
 
 @dataclass(frozen=True)
-class Sorted(Generic[Result]):
+class BatchResults(Generic[Result]):
     """Results of all bags, in the order of the bags."""
 
     results: tuple[Result, ...]
@@ -78,7 +78,7 @@ def with_each(
     bags: Sequence[NamedBag],
     jobs: int,
     tell: Tell,
-) -> Sorted[Result]:
+) -> BatchResults[Result]:
     """Do the same with each bag, side by side; a bag that cannot be used hides no other.
 
     Parameters
@@ -111,12 +111,12 @@ def with_each(
     bad = tuple(item for item in judged if isinstance(item, BadBag))
     good = tuple(item for item in judged if not isinstance(item, BadBag))
     check_some_left(len(good), bad)
-    return Sorted(good, bad)
+    return BatchResults(good, bad)
 
 
 def runs_of(
     bags: Sequence[NamedBag], interval: float | None, tell: Tell, *, skip: bool, **options: Any
-) -> 'Sorted[ThermalRun]':
+) -> 'BatchResults[ThermalRun]':
     """Read the runs of all bags; options are those of `read_run`.
 
     Parameters
@@ -150,12 +150,12 @@ def runs_of(
             found.append(_in_words(_attempt(usable, bag, _nobody)))
         else:
             runs.append(read_run(bag.path, name=bag.name, **options))
-    return without_odd(bags, found) if skip else Sorted(tuple(runs), ())
+    return without_odd(bags, found) if skip else BatchResults(tuple(runs), ())
 
 
 def without_odd(
     bags: Sequence[NamedBag], found: 'Sequence[ThermalRun | BadBag]'
-) -> 'Sorted[ThermalRun]':
+) -> 'BatchResults[ThermalRun]':
     """Return the runs that have the sensors and channels of most of them, and what is left out.
 
     A run that is the recording of an earlier one is left out, too.
@@ -177,7 +177,7 @@ def without_odd(
     bad += [BadBag(named[place][0], reason) for place, reason in odd.items()]
     good = tuple(run for place, (_, run) in enumerate(named) if place not in odd)
     check_some_left(len(good), bad)
-    return Sorted(good, tuple(bad))
+    return BatchResults(good, tuple(bad))
 
 
 def check_some_left(good: int, bad: Sequence[BadBag]) -> None:

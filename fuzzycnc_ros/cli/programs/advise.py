@@ -43,9 +43,9 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
     from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
     from fuzzycnc_ros.simulation.controller.program import PathMode
-    from fuzzycnc_ros.studies.programs.advice import Advice, Adviser, Remedy
+    from fuzzycnc_ros.studies.programs.advice import Advice, Adviser, ProgramRemedy
     from fuzzycnc_ros.studies.programs.advice_page import AdviceFigures
-    from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath
+    from fuzzycnc_ros.studies.programs.program_judge import ProgramPath, ProgramResult
 
 CORNER_CHOICES = ('none', 'feed', 'split')
 """Treatments of corners."""
@@ -230,7 +230,7 @@ def _measured(
     machine: SchedulingMachine,
     before: 'PathMode',
     units: str,
-) -> 'tuple[Advice, list[Judged]]':
+) -> 'tuple[Advice, list[ProgramResult]]':
     """Run every remedy on LinuxCNC, and those that leave too much again with a lower aim."""
     from fuzzycnc_ros.adapters.linuxcnc.recorder import PERIOD, recording
     from fuzzycnc_ros.studies.programs.advice import advised_program, with_lower_aims
@@ -238,7 +238,7 @@ def _measured(
     limits, path = _limits(machine), adviser.path
     with progress_bar('LinuxCNC') as tell, recording() as recorder:
 
-        def run(remedy: 'Remedy', number: int) -> 'Judged':
+        def run(remedy: 'ProgramRemedy', number: int) -> 'ProgramResult':
             tell(remedy.name, min(number, len(advice.remedies)), len(advice.remedies))
             recorder.limit(limits.velocity, limits.acceleration)
             recorder.origin(before.word)
@@ -250,7 +250,9 @@ def _measured(
         return with_lower_aims(advice, adviser, run)
 
 
-def _figures(name: str, advice: 'Advice', measured: 'list[Judged] | None') -> 'AdviceFigures':
+def _figures(
+    name: str, advice: 'Advice', measured: 'list[ProgramResult] | None'
+) -> 'AdviceFigures':
     from fuzzycnc_ros.studies.programs.advice import best_of
     from fuzzycnc_ros.studies.programs.advice_page import AdviceFigures, AdviceRow
 

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Program
     from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader
     from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
-    from fuzzycnc_ros.studies.programs.program_judge import Judged
+    from fuzzycnc_ros.studies.programs.program_judge import ProgramResult
     from fuzzycnc_ros.studies.programs.program_page import ScheduleFigures
     from fuzzycnc_ros.studies.programs.schedule_trace import PathTrace
 
@@ -301,7 +301,7 @@ def _counted(
 
 def _driven(
     words: Words, settings: 'ProgramSettings', machine: SchedulingMachine
-) -> 'tuple[Judged | None, Judged | None]':
+) -> 'tuple[ProgramResult | None, ProgramResult | None]':
     """Drive the first lines as they were and as they are on the simulated controller."""
     from fuzzycnc_ros.studies.programs.program_drive import drive_words
 

@@ -175,7 +175,7 @@ def compensate(
     known = read_model_file(model)
     check_output(path, out, in_place)
     check_folder(report, json_file)
-    job = Job(known, sheet, depth_m, step_m)
+    job = PathCompensator(known, sheet, depth_m, step_m)
     if _is_design(path):
         from fuzzycnc_ros.cli.soft.designs import Sewing, shift_design
 
@@ -222,7 +222,7 @@ def _is_design(path: Path) -> bool:
     return str(path) != STREAM and is_design(path)
 
 
-class Job:
+class PathCompensator:
     """Compensates paths, and keeps what is to be said of them."""
 
     def __init__(
@@ -340,7 +340,7 @@ class Job:
         return lines
 
 
-def shifted_program(source: Path, units: str, job: Job) -> str:
+def shifted_program(source: Path, units: str, job: PathCompensator) -> str:
     """Return a part program with its stitches shifted."""
     import numpy as np
 
@@ -358,7 +358,7 @@ def shifted_program(source: Path, units: str, job: Job) -> str:
     return ''.join(program.written(offsets))
 
 
-def shifted_points(source: Path, job: Job) -> str:
+def shifted_points(source: Path, job: PathCompensator) -> str:
     """Return a list of stitches, shifted."""
     import numpy as np
 

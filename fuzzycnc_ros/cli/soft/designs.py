@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from fuzzycnc_ros.bags.atomic import whole_file
-from fuzzycnc_ros.cli.soft.compensate import Job
+from fuzzycnc_ros.cli.soft.compensate import PathCompensator
 from fuzzycnc_ros.core.deformation.stitch_design import PlacedRun, placed_design, run_path
 from fuzzycnc_ros.studies.soft.design_files import (
     bounds,
@@ -44,7 +44,7 @@ class Sewing:
     unit: float
 
 
-def shift_design(path: Path, out: Path, job: Job, sewing: Sewing) -> list[str]:
+def shift_design(path: Path, out: Path, job: PathCompensator, sewing: Sewing) -> list[str]:
     """Write a design with its stitches shifted, and return what is to be said.
 
     Raises

@@ -16,7 +16,7 @@ from fuzzycnc_ros.core.deformation.samples import RecordedPath
 from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial
 from fuzzycnc_ros.core.units import LENGTHS
 from fuzzycnc_ros.studies.number_table import read_numbers
-from fuzzycnc_ros.studies.soft.foam_records import Recordings, recorded_run
+from fuzzycnc_ros.studies.soft.foam_records import StitchRecordings, recorded_run
 
 COMMANDED = ('x_mm', 'y_mm')
 OFFSET = ('offset_x_mm', 'offset_y_mm')
@@ -57,7 +57,7 @@ class TrackOptions:
         return SheetMaterial(thickness, size, str(self.material))
 
 
-def read_tables(sources: Sequence[Path], options: TrackOptions) -> Recordings | None:
+def read_tables(sources: Sequence[Path], options: TrackOptions) -> StitchRecordings | None:
     """Read runs from CSV files, one each; None if the sources are bags.
 
     Raises
@@ -80,7 +80,7 @@ def read_tables(sources: Sequence[Path], options: TrackOptions) -> Recordings | 
     if len(tables) < len(sources):
         raise ValueError(f'{tables[0]}: expected bags, or .csv files, but found both')
     sheet = options.sheet()
-    return Recordings([_run(path, sheet, str(options.path_id)) for path in tables])
+    return StitchRecordings([_run(path, sheet, str(options.path_id)) for path in tables])
 
 
 def _run(path: Path, sheet: SheetMaterial, path_id: str) -> RecordedPath:

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from fuzzycnc_ros.components.dashboard.values import finite, value_of, word
+from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryStatus
 from fuzzycnc_ros.core.names import visible
-from fuzzycnc_ros.runtime.enums import ServoStatus, TrajectoryStatus
+from fuzzycnc_ros.runtime.enums import ServoStatus
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisState,

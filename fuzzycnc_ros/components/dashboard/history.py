@@ -132,7 +132,7 @@ class _Ring:
         self._flag = np.pad(self._flag, ((0, more), (0, 0)))
 
 
-class Series:
+class QuantityHistory:
     """Quantities that are told together, by name.
 
     Parameters
@@ -285,9 +285,9 @@ class History:
 
     def clear(self) -> None:
         """Forget all: the clock began anew."""
-        self._series = {name: Series(self._tiers) for name in SERIES}
+        self._series = {name: QuantityHistory(self._tiers) for name in SERIES}
 
-    def __getitem__(self, name: str) -> Series:
+    def __getitem__(self, name: str) -> QuantityHistory:
         """Return a series by name."""
         return self._series[name]
 

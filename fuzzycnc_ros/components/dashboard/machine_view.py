@@ -25,16 +25,10 @@ from fuzzycnc_ros.components.dashboard.node_report import NodeReport
 from fuzzycnc_ros.components.dashboard.trend import Trend
 from fuzzycnc_ros.components.dashboard.values import finite, number, value_of, word
 from fuzzycnc_ros.core.inputs.lines import read_travel
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.runtime.component import Health, Level
-from fuzzycnc_ros.runtime.enums import (
-    AppliedStatus,
-    CompensationState,
-    MachineMode,
-    Reason,
-    SpeedStatus,
-    Status,
-)
+from fuzzycnc_ros.runtime.enums import CompensationState, MachineMode, Reason, SpeedStatus, Status
 from fuzzycnc_ros.runtime.host import FINALIZED, WAS_FINALIZED, NodeConfiguration
 from fuzzycnc_ros.runtime.records import (
     SECOND,
@@ -113,7 +107,7 @@ _IN_FORCE = frozenset(
 
 
 @dataclass
-class _Heard:
+class _Reception:
     """Times at which a topic was received.
 
     Attributes
@@ -153,7 +147,7 @@ class MachineView:
         self.machine = machine
         self.history = History() if history is None else history
         self._newest: dict[str, Any] = {}
-        self._heard: dict[str, _Heard] = {}
+        self._heard: dict[str, _Reception] = {}
         self._nodes: dict[str, NodeReport] = {}
         self._stamp: int | None = None
         self._sequence = 0
@@ -196,7 +190,7 @@ class MachineView:
         """Note that something came on a topic, whether or not it is looked at."""
         known = self._heard.get(topic)
         if known is None:
-            self._heard[topic] = _Heard(now)
+            self._heard[topic] = _Reception(now)
         elif now > known.at:
             known.again(now)
 
@@ -486,7 +480,7 @@ class MachineView:
             if known in _IN_FORCE:
                 state, why = self._in_force(state, why)
         applied = self._newest.get('compensation_applied')
-        if state != 'refused' and applied is not None and applied.status == AppliedStatus.REFUSED:
+        if state != 'refused' and applied is not None and applied.status == OffsetStatus.REFUSED:
             why += f'; the machine refuses offsets: {visible(applied.reason)}'
         mode = 'unknown'
         if machine is not None:
@@ -510,12 +504,12 @@ class MachineView:
         One that hangs has told nothing else: what it told last is no longer true then.
         """
         told, applied = self._newest.get('compensation'), self._newest.get('compensation_applied')
-        if applied is not None and applied.status == AppliedStatus.REFUSED:
+        if applied is not None and applied.status == OffsetStatus.REFUSED:
             return 'refused', f'the machine refuses offsets: {visible(applied.reason)}'
         out_of_date = (
             told is not None and self._stamp is not None and (self._stamp > told.valid_until)
         )
-        if out_of_date or (applied is not None and applied.status == AppliedStatus.EXPIRED):
+        if out_of_date or (applied is not None and applied.status == OffsetStatus.EXPIRED):
             return 'expired', 'no command of the compensator is in force: the machine goes to zero'
         return state, why
 

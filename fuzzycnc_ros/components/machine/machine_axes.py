@@ -12,10 +12,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from fuzzycnc_ros.components.servo.setpoints import trajectory_part
-from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryInput, TrajectoryInputConfig
+from fuzzycnc_ros.core.inputs.trajectory_input import (
+    TrajectoryInput,
+    TrajectoryInputConfig,
+    TrajectoryStatus,
+)
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.runtime.component import Emission, Health, Level
-from fuzzycnc_ros.runtime.enums import TrajectoryStatus
 from fuzzycnc_ros.runtime.records import (
     AxisCommand,
     AxisState,
@@ -319,7 +322,7 @@ class ContouringMotion(Axes):
                 yield from self._begin_path(self._moved or stamp, frame_id)
                 self._begins, self._finished = False, ''
             self._input.take()
-            if self._input.status.name == TrajectoryStatus.FINISHED.name:
+            if self._input.status is TrajectoryStatus.FINISHED:
                 self._finished = self._path_id
             self._commanded = self._moved = stamp
         else:
@@ -353,7 +356,7 @@ class ContouringMotion(Axes):
     def health(self) -> Health:
         """Report what the axes do and why a part was refused."""
         status, reason = self._input.status, self._input.reason
-        poor = status.name in (TrajectoryStatus.STARVED.name, TrajectoryStatus.REFUSED.name)
+        poor = status in (TrajectoryStatus.STARVED, TrajectoryStatus.REFUSED)
         position = zip(MOTION_AXES, self._axes.position, strict=True)
         values = {f'position {axis} [mm]': f'{1e3 * place:.4f}' for axis, place in position}
         text = reason or f'{status.name.lower()} {self._input.path_id}'.strip()

@@ -134,7 +134,7 @@ class Task:
     sheet: FoamSheet | None = None
 
 
-class Operator:
+class MachineOperator:
     """Loads what is to be done, at its time or one after the other.
 
     A task with a time first has its axes unclamped: their periods begin, and whoever controls them
@@ -318,7 +318,7 @@ def material_record(sheet: FoamSheet, stamp: int, frame_id: str) -> Material:
     )
 
 
-def machine_operator(config: SimulatedMachineConfig) -> Operator:
+def machine_operator(config: SimulatedMachineConfig) -> MachineOperator:
     """Return who loads the jobs, paths or patterns that a machine is to do by itself.
 
     Raises
@@ -350,7 +350,9 @@ def machine_operator(config: SimulatedMachineConfig) -> Operator:
                 f'found {", ".join((*config.paths, *config.servo_axes))}'
             )
         tasks, nodes = _pattern_tasks(config), 'are deformation_compensator and feedrate_scheduler'
-    return Operator(tasks, timeout=config.path_timeout, nodes=nodes, move_time=config.move_time)
+    return MachineOperator(
+        tasks, timeout=config.path_timeout, nodes=nodes, move_time=config.move_time
+    )
 
 
 def _job_tasks(jobs: Sequence[Job], config: SimulatedMachineConfig) -> list[Task]:

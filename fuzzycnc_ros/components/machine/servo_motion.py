@@ -20,12 +20,15 @@ from fuzzycnc_ros.components.servo.servo_axes import (
     parse_axes,
     parse_plants,
 )
-from fuzzycnc_ros.components.servo.setpoints import ServoLead
-from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryInput, TrajectoryInputConfig
+from fuzzycnc_ros.components.servo.setpoints import TrajectoryFollower
+from fuzzycnc_ros.core.inputs.trajectory_input import (
+    TrajectoryInput,
+    TrajectoryInputConfig,
+    TrajectoryStatus,
+)
 from fuzzycnc_ros.core.machine.machine_data import AxisData
 from fuzzycnc_ros.core.servo.axis import velocity_lag
 from fuzzycnc_ros.runtime.component import Emission, Health, Level
-from fuzzycnc_ros.runtime.enums import TrajectoryStatus
 from fuzzycnc_ros.runtime.records import (
     AxisCommand,
     AxisState,
@@ -317,7 +320,7 @@ class ServoMotion(Axes):
         self._plants = list(plants.values())
         self._moves, self._on = ServoMoves(self.axes, config), on
         self._drives = ServoDrives(plants, travel)
-        self._lead = ServoLead(self.axes, limits)
+        self._lead = TrajectoryFollower(self.axes, limits)
         self._per_period = 1.0 / period
         self._silence = round(config.servo_silence / period)
         self._place = [plant.position for plant in self._plants]  # told for trajectories
@@ -372,7 +375,7 @@ class ServoMotion(Axes):
 
     def finished(self, path_id: str) -> bool:
         """Return True if that path was the last to be followed, to its end, and the axes rest."""
-        done = self.guard.status.name == TrajectoryStatus.FINISHED.name
+        done = self.guard.status is TrajectoryStatus.FINISHED
         return not self.busy and done and self.guard.path_id == path_id != ''
 
     def next_time(self, now: int) -> int | None:

@@ -58,7 +58,7 @@ class Stitching:
     def __init__(self, sheet: FoamSheet, seed: int) -> None:
         self._sheet, self._seed = sheet, seed
         self._path: CompensatedPath | None = None
-        self._run: _Run | None = None
+        self._run: _StitchRun | None = None
         self._tool: tuple[int, Point] | None = None  # newest place of the tool and its stamp
         self._count = 0
         self._level, self._text = Level.OK, 'nothing to stitch'
@@ -133,18 +133,18 @@ class Stitching:
         text = self._text if self._run is None else self._run.progress
         return Health('stitching', self._level, text)
 
-    def _begin(self, path: CompensatedPath, tool: tuple[int, Point]) -> '_Run':
+    def _begin(self, path: CompensatedPath, tool: tuple[int, Point]) -> '_StitchRun':
         rng = np.random.default_rng(self._seed + self._count) if self._seed >= 0 else None
         self._count += 1
         sheet = self._sheet if rng is None else self._sheet.scattered(rng)
         self._say(Level.OK, '')
-        return _Run(path, sheet, rng, tool)
+        return _StitchRun(path, sheet, rng, tool)
 
     def _say(self, level: Level, text: str) -> None:
         self._level, self._text = level, text
 
 
-class _Run:
+class _StitchRun:
     """One path on its way to the sheet.
 
     Parameters

@@ -23,8 +23,8 @@ from fuzzycnc_ros.core.feedrate.motion.waypoints import Sampled
 from fuzzycnc_ros.core.feedrate.path.curves import trident
 from fuzzycnc_ros.core.feedrate.path.nodes import NodePlan, with_nodes
 from fuzzycnc_ros.core.feedrate.path.reference_path import PathBuilder, ReferencePath
-from fuzzycnc_ros.core.feedrate.schedule.plain import Scheduler
 from fuzzycnc_ros.core.feedrate.schedule.planner import Planner, PlannerSettings
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import Scheduler
 from fuzzycnc_ros.runtime.component import Emission
 from fuzzycnc_ros.runtime.records import (
     FeedSchedule,

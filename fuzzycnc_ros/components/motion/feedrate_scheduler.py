@@ -23,6 +23,7 @@ from fuzzycnc_ros.components.motion.tool_paths import (
     ToolPathSegments,
     tool_path_segments,
 )
+from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryStatus
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
     Answer,
@@ -32,7 +33,6 @@ from fuzzycnc_ros.runtime.component import (
     Level,
     Output,
 )
-from fuzzycnc_ros.runtime.enums import TrajectoryStatus
 from fuzzycnc_ros.runtime.records import (
     AxisState,
     FeedSchedule,

@@ -10,7 +10,7 @@ from typing import Any
 
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
-from fuzzycnc_ros.core.feedrate.schedule.plain import (
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import (
     ConstantFeed,
     ConstantNormalAcceleration,
     Scheduler,

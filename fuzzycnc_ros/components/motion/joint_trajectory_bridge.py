@@ -18,6 +18,7 @@ from fuzzycnc_ros.components.motion.joint_goal import Goal, GoalCode, GoalError
 from fuzzycnc_ros.components.motion.joint_run import JointPath, JointRun
 from fuzzycnc_ros.components.motion.joint_trajectory_config import JointTrajectoryBridgeConfig
 from fuzzycnc_ros.components.motion.sender import GRACE, MotionSender, motion_refusal
+from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryStatus
 from fuzzycnc_ros.runtime.component import (
     Answer,
     Emission,
@@ -26,7 +27,6 @@ from fuzzycnc_ros.runtime.component import (
     Level,
     Output,
 )
-from fuzzycnc_ros.runtime.enums import TrajectoryStatus
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisState,
@@ -60,7 +60,7 @@ class JointStates(Record):
 
 
 @dataclass(frozen=True)
-class Outcome:
+class GoalResult:
     """Result of a goal: its name, the code and the text for its sender."""
 
     goal: str
@@ -71,7 +71,7 @@ class Outcome:
 
 
 @dataclass(frozen=True, eq=False)
-class Progress:
+class GoalFeedback:
     """Desired and actual positions of the joints of a goal [m, m/s] at time `stamp` [ns]."""
 
     goal: str
@@ -98,10 +98,10 @@ class JointTrajectoryBridge(MotionSender[JointTrajectoryBridgeConfig, JointRun])
     def __init__(self, config: JointTrajectoryBridgeConfig | None = None) -> None:
         super().__init__(config)
         self._goals = 0
-        self._ending: Outcome | None = None  # of the run, once its axes rest
+        self._ending: GoalResult | None = None  # of the run, once its axes rest
         self._finished: int | None = None  # when the machine said that the run is over
         self._waiting: Goal | None = None
-        self._outcomes: list[Outcome] = []
+        self._outcomes: list[GoalResult] = []
         self._looked_at = 0
         self._joints_at: int | None = None  # newest joint states
 
@@ -122,13 +122,13 @@ class JointTrajectoryBridge(MotionSender[JointTrajectoryBridgeConfig, JointRun])
             due += [begin] if begin > self._looked_at else []
         return min(due, default=None)
 
-    def take_outcomes(self) -> list[Outcome]:
+    def take_outcomes(self) -> list[GoalResult]:
         """Return the goals that have ended since the last call."""
         found, self._outcomes = self._outcomes, []
         return found
 
     @property
-    def progress(self) -> Progress | None:
+    def progress(self) -> GoalFeedback | None:
         """Progress of the goal that is being followed; None if there is none."""
         run, state = self._run, self.last(self.AXES)
         if run is None or state is None:
@@ -137,7 +137,7 @@ class JointTrajectoryBridge(MotionSender[JointTrajectoryBridgeConfig, JointRun])
         if wanted is None:
             return None
         names = tuple(self._config.joint_names[column] for column in run.goal.column)
-        return Progress(
+        return GoalFeedback(
             run.goal.name,
             state.stamp,
             names,
@@ -317,7 +317,7 @@ class JointTrajectoryBridge(MotionSender[JointTrajectoryBridgeConfig, JointRun])
         off = (position - wanted.position, velocity - wanted.velocity)
         if self._finished is not None:
             if not goal.goal_tolerance.breach(names, *off):
-                self._conclude(Outcome(goal.name, GoalCode.SUCCESSFUL, 'arrived'))
+                self._conclude(GoalResult(goal.name, GoalCode.SUCCESSFUL, 'arrived'))
             else:
                 self._look(run, state.stamp)
             return
@@ -336,7 +336,7 @@ class JointTrajectoryBridge(MotionSender[JointTrajectoryBridgeConfig, JointRun])
             self._give_up('the machine did not say that it has finished')
         elif ended and stamp > run.at_rest + run.goal.goal_time:
             self._conclude(
-                Outcome(run.goal.name, GoalCode.GOAL_TOLERANCE_VIOLATED, self._away(run))
+                GoalResult(run.goal.name, GoalCode.GOAL_TOLERANCE_VIOLATED, self._away(run))
             )
 
     def _away(self, run: JointRun) -> str:
@@ -357,7 +357,7 @@ class JointTrajectoryBridge(MotionSender[JointTrajectoryBridgeConfig, JointRun])
         if run is None or self._ending is not None:
             return []
         emissions = run.stop(self._time)
-        self._ending = Outcome(run.goal.name, code, text, cancelled)
+        self._ending = GoalResult(run.goal.name, code, text, cancelled)
         self._moved_until = max(self._moved_until, run.at_rest)
         self._say(Level.OK if cancelled else Level.WARN, f'{run.goal.name}: {text}')
         return emissions
@@ -371,10 +371,11 @@ class JointTrajectoryBridge(MotionSender[JointTrajectoryBridgeConfig, JointRun])
         run = self._run
         if run is not None:
             self._conclude(
-                self._ending or Outcome(run.goal.name, GoalCode.INVALID_GOAL, f'given up: {why}')
+                self._ending
+                or GoalResult(run.goal.name, GoalCode.INVALID_GOAL, f'given up: {why}')
             )
 
-    def _conclude(self, outcome: Outcome) -> None:
+    def _conclude(self, outcome: GoalResult) -> None:
         """Leave the run."""
         if self._finished is not None:
             self._moved_until = self._finished
@@ -383,7 +384,7 @@ class JointTrajectoryBridge(MotionSender[JointTrajectoryBridgeConfig, JointRun])
 
     def _end(self, name: str, code: GoalCode, text: str, *, cancelled: bool = False) -> None:
         """Tell how a goal ended."""
-        self._outcomes.append(Outcome(name, code, text, cancelled))
+        self._outcomes.append(GoalResult(name, code, text, cancelled))
         good = code is GoalCode.SUCCESSFUL
         self._say(Level.OK if good else Level.WARN, f'{name}: {code.name}, {text}')
 

@@ -8,8 +8,9 @@ from typing import ClassVar, Generic, TypeVar
 
 from fuzzycnc_ros.components.motion.parts import PartsRun, PathHeader
 from fuzzycnc_ros.core.config import Config
+from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryStatus
 from fuzzycnc_ros.runtime.component import Component, Emission, Input, Level
-from fuzzycnc_ros.runtime.enums import MachineMode, TrajectoryStatus
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import MachineState, Record, TrajectoryState
 
 ConfigT = TypeVar('ConfigT', bound=Config)

@@ -12,9 +12,10 @@ from typing import Any
 
 from fuzzycnc_ros.components.dashboard.node_report import NODE_SILENT
 from fuzzycnc_ros.components.dashboard.values import word
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.runtime.component import Health, Level
-from fuzzycnc_ros.runtime.enums import AppliedStatus, SpeedStatus, Status
+from fuzzycnc_ros.runtime.enums import SpeedStatus, Status
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     CompensationApplied,
@@ -122,7 +123,7 @@ def _values(names: Iterable[str], values: Any, factor: float = 1.0) -> dict[str,
 def _offsets(record: CompensationApplied) -> dict[str, Any]:
     return {
         'offset_um': _values(record.axis, record.offset, MICROMETRES),
-        'status': word(AppliedStatus, record.status, 'status'),
+        'status': word(OffsetStatus, record.status, 'status'),
     }
 
 

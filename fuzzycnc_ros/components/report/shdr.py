@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree
 
-from fuzzycnc_ros.components.report.told import SPINDLE, told
+from fuzzycnc_ros.components.report.reported_values import SPINDLE, told
 from fuzzycnc_ros.core.names import file_word, topic_words
 
 UNAVAILABLE = 'UNAVAILABLE'
@@ -33,7 +33,7 @@ _NO_TEXT = re.compile(r'[|\r\n]')
 
 
 @dataclass(frozen=True)
-class Item:
+class ShdrItem:
     """A data item.
 
     Attributes
@@ -70,7 +70,7 @@ class Shdr:
 
     def __init__(self, machine: str, age_max: float) -> None:
         self._machine, self._age_max = machine, age_max
-        self.items: dict[str, Item] = {}
+        self.items: dict[str, ShdrItem] = {}
         self._values: dict[str, str] = {}
         self._alarms: dict[str, str] = {}
         self._time = ''
@@ -158,7 +158,7 @@ class Shdr:
     def _line(self, values: Mapping[str, str]) -> str:
         return '|'.join([self._time, *(f'{key}|{text}' for key, text in values.items())])
 
-    def _told(self, document: Mapping[str, Any]) -> Iterator[tuple[Item, float | None]]:
+    def _told(self, document: Mapping[str, Any]) -> Iterator[tuple[ShdrItem, float | None]]:
         """Yield data items with their values; None where there is none, or it is too old."""
         found = list(told(document, self._age_max))
         names = {kind: sorted(item.name for item in found if item.kind == kind) for kind in KINDS}
@@ -167,7 +167,7 @@ class Shdr:
             key = f'{item.kind}_{words[item.kind][item.name]}' if item.name else item.kind
             word, units, factor = KINDS[item.kind]
             value = None if item.value is None else factor * item.value
-            yield Item(key, word, units, f'{item.kind} {item.name}'.strip()), value
+            yield ShdrItem(key, word, units, f'{item.kind} {item.name}'.strip()), value
 
 
 def _alarm(alarm: Mapping[str, str]) -> tuple[str, str]:

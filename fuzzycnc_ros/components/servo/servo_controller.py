@@ -24,7 +24,7 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
     profile_limits,
     trajectory_limits,
 )
-from fuzzycnc_ros.components.servo.setpoints import ServoLead
+from fuzzycnc_ros.components.servo.setpoints import TrajectoryFollower
 from fuzzycnc_ros.runtime.component import (
     Answer,
     Component,
@@ -80,7 +80,7 @@ class ServoController(Component[ServoControllerConfig]):
             for name, controller in make_controllers(self._config).items()
         ]
         self._names = tuple(axis.name for axis in self._axes)
-        self._lead = ServoLead(self._names, trajectory_limits(self._config))
+        self._lead = TrajectoryFollower(self._names, trajectory_limits(self._config))
         self._led = False
         self._period = nanoseconds(self._config.period)
         self._tolerance = round(LATENESS * self._period)

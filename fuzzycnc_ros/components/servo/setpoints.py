@@ -31,7 +31,7 @@ def trajectory_part(part: Trajectory) -> TrajectoryPart:
     )
 
 
-class ServoLead:
+class TrajectoryFollower:
     """Takes trajectories, which begin where the axes are told to be, and says where to be.
 
     Parameters

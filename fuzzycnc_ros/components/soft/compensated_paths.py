@@ -26,7 +26,7 @@ _PER_LENGTH = 1e-3 / REFERENCE_LENGTH
 
 
 @dataclass(frozen=True)
-class Course:
+class PatternPrimitives:
     """Primitives of a pattern, those with a length, and the number of each."""
 
     number: tuple[int, ...]
@@ -70,7 +70,7 @@ def check_compensated(path: CompensatedPath) -> None:
 
 def compensated_record(
     pattern: StitchPattern,
-    course: Course,
+    course: PatternPrimitives,
     material: SheetMaterial,
     path: compensation.CompensatedPath,
     model: str,
@@ -81,7 +81,7 @@ def compensated_record(
     ----------
     pattern : StitchPattern
         The pattern, whose stamp and name it gets.
-    course : Course
+    course : PatternPrimitives
         Its primitives.
     material : SheetMaterial
         The sheet.
@@ -117,7 +117,7 @@ def compensated_record(
 
 
 def stitching_tool_path(
-    pattern: StitchPattern, course: Course, commanded: Floats, corner: float
+    pattern: StitchPattern, course: PatternPrimitives, commanded: Floats, corner: float
 ) -> ToolPath:
     """Return the tool path through commanded points: lines, at speed within a primitive.
 
@@ -125,7 +125,7 @@ def stitching_tool_path(
     ----------
     pattern : StitchPattern
         The pattern, whose stamp, name and feeds it gets.
-    course : Course
+    course : PatternPrimitives
         Its primitives.
     commanded : ndarray, shape (n + 1, 2)
         Points that the needle is to go through [m].

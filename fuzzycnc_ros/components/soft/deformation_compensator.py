@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from fuzzycnc_ros.components.soft.compensated_paths import (
-    Course,
+    PatternPrimitives,
     compensated_record,
     stitching_tool_path,
 )
@@ -111,7 +111,7 @@ ContentT = TypeVar('ContentT')
 
 
 @dataclass(frozen=True)
-class Source(Generic[ContentT]):
+class OffsetSource(Generic[ContentT]):
     """A file that offsets come from: its content, text and hash."""
 
     content: ContentT
@@ -119,9 +119,9 @@ class Source(Generic[ContentT]):
     hash: str
 
 
-def _source(read: Callable[[str], ContentT], text: str) -> Source[ContentT] | None:
+def _source(read: Callable[[str], ContentT], text: str) -> OffsetSource[ContentT] | None:
     """Read the text of a file; none if it is empty."""
-    return Source(read(text), text, text_hash(text)) if text else None
+    return OffsetSource(read(text), text, text_hash(text)) if text else None
 
 
 class DeformationCompensator(Component[DeformationCompensatorConfig]):
@@ -146,8 +146,8 @@ class DeformationCompensator(Component[DeformationCompensatorConfig]):
     def __init__(self, config: DeformationCompensatorConfig | None = None) -> None:
         super().__init__(config)
         self._active = False
-        self._model: Source[SoftModel] | None = None
-        self._offsets: Source[StitchOffsets] | None = None
+        self._model: OffsetSource[SoftModel] | None = None
+        self._offsets: OffsetSource[StitchOffsets] | None = None
         self._handled = (-1, '')  # stamp and name of the newest pattern that was taken
         self._level, self._text = Level.OK, 'inactive'
         self._values: dict[str, str] = {}
@@ -185,7 +185,7 @@ class DeformationCompensator(Component[DeformationCompensatorConfig]):
             return super().on_request(name, arguments, stamp)
         what = name.removeprefix('use_')
         text = str(arguments[what])
-        source: Source[Any] | None = None
+        source: OffsetSource[Any] | None = None
         try:
             if what == 'model':
                 source = self._model = _source(read_soft_model, text)
@@ -217,10 +217,10 @@ class DeformationCompensator(Component[DeformationCompensatorConfig]):
         """Yield the compensated path of a pattern and its tool path."""
         material = self._sheet(pattern)
         numbers, primitives = zip(*pattern_primitives(pattern), strict=True)
-        course = Course(numbers, primitives)
+        course = PatternPrimitives(numbers, primitives)
         path = StitchPath.of_primitives(primitives)
         material.check(path)
-        source: Source[Any] | None = self._learnt(pattern, material, path.points)
+        source: OffsetSource[Any] | None = self._learnt(pattern, material, path.points)
         learnt = source is not None
         if source is not None:
             found = compensated(path, material, source.content, self._config)
@@ -264,7 +264,7 @@ class DeformationCompensator(Component[DeformationCompensatorConfig]):
 
     def _learnt(
         self, pattern: StitchPattern, material: SheetMaterial, points: Floats
-    ) -> Source[Any] | None:
+    ) -> OffsetSource[Any] | None:
         """Return the learnt offsets for a pattern; None if there are none for it."""
         for source in (self._offsets, self._model):
             if source is None or not isinstance(source.content, StitchOffsets):

@@ -17,6 +17,7 @@ import numpy as np
 from fuzzycnc_ros.components.thermal.axis_trust import AxisTrust
 from fuzzycnc_ros.core.config import Config, param
 from fuzzycnc_ros.core.inputs.lines import Lines, read_travel
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.core.inputs.offsets import AXES, EPOCH_STEP, NEGLIGIBLE, describe
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
@@ -29,12 +30,7 @@ from fuzzycnc_ros.runtime.component import (
     Level,
     Output,
 )
-from fuzzycnc_ros.runtime.enums import (
-    AppliedStatus,
-    CompensationState,
-    MachineMode,
-    Reason,
-)
+from fuzzycnc_ros.runtime.enums import CompensationState, MachineMode, Reason
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     Bools,
@@ -310,12 +306,12 @@ class Compensator(Component[CompensatorConfig]):
             # The machine believes no such epoch; whoever told it was not the machine.
             self._epoch = 0
             self._take_over(applied)
-        elif applied.status == AppliedStatus.FOLLOWING:
+        elif applied.status == OffsetStatus.FOLLOWING:
             self._followed |= applied.epoch == self._epoch
             if applied.epoch > self._epoch:
                 self._yield_to(applied.epoch)
         elif self._rival or (
-            (self._followed or applied.status != AppliedStatus.IDLE) and not self._agrees(applied)
+            (self._followed or applied.status != OffsetStatus.IDLE) and not self._agrees(applied)
         ):
             self._take_over(applied)
 
@@ -396,7 +392,7 @@ class Compensator(Component[CompensatorConfig]):
         text = self._state.name.lower() + (f': {self._why}' if self._why else '')
         items = [Health('state', level, text, values)]
         applied = self.last(self.APPLIED)
-        if applied is not None and applied.status == AppliedStatus.REFUSED:
+        if applied is not None and applied.status == OffsetStatus.REFUSED:
             items.append(
                 Health('read-back', Level.ERROR, f'refused by the machine: {applied.reason}')
             )

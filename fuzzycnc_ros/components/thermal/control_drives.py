@@ -20,7 +20,7 @@ COUNTERS = {'travel': 'axis_speed', 'square_speed': 'axis_square_speed'}
 """Fields of `machine_state` whose growth over time is a drive."""
 
 
-class _State(NamedTuple):
+class _DriveState(NamedTuple):
     """Counters, and what is told as it is, of one message."""
 
     stamp: Stamp
@@ -63,14 +63,14 @@ class ControlDrives:
     """
 
     def __init__(self) -> None:
-        self._before: _State | None = None
+        self._before: _DriveState | None = None
         self._sums: dict[str, float] = {}
         self._times: dict[str, int] = {}
         self._known: dict[str, tuple[Stamp, float]] = {}
 
     def note(self, stamp: Stamp, counters: dict[str, float], levels: dict[str, float]) -> None:
         """Take what one message tells, as `drives_told` returns it."""
-        before, self._before = self._before, _State(stamp, counters, levels)
+        before, self._before = self._before, _DriveState(stamp, counters, levels)
         elapsed = 0 if before is None else stamp - before.stamp
         if before is None or not 0 < elapsed <= nanoseconds(GAP_MAX):
             return

@@ -71,7 +71,7 @@ APART_SHARE, APART_LEAST = 0.1, 10.0
 [rad/s].  What is looked for is a wrong unit or ratio, not a slow filter."""
 
 
-class Told(NamedTuple):
+class SpeedReading(NamedTuple):
     """A speed that is known: its source, its stamp [ns] and its value [rad/s]."""
 
     source: str
@@ -90,7 +90,7 @@ class SpeedSources:
     """Newest spindle speed of each source, in the order of their stamps."""
 
     def __init__(self) -> None:
-        self._told: dict[str, Told] = {}
+        self._told: dict[str, SpeedReading] = {}
         self._apart_since: Stamp | None = None
         self._apart = False
 
@@ -98,11 +98,11 @@ class SpeedSources:
         """Take what a topic tells, as `speed_told` returns it."""
         if not np.isfinite(speed):
             return
-        self._told[topic] = Told(topic, stamp, speed)
+        self._told[topic] = SpeedReading(topic, stamp, speed)
         self._compare(stamp)
 
     @property
-    def newest(self) -> Told | None:
+    def newest(self) -> SpeedReading | None:
         """The speed that counts: that of `machine_state` unless it has been silent."""
         state, own = self._told.get(STATE), self._told.get(OWN)
         if state is None or own is None:
@@ -184,7 +184,7 @@ WAITING_MAX = 1000
 
 
 @dataclass(frozen=True, eq=False)
-class Probe:
+class ProbedError:
     """Probed error of the bare machine.
 
     Attributes
@@ -289,7 +289,7 @@ class ProbeSource:
         """Take what the machine applies."""
         self._applied.append(applied)
 
-    def take(self, stamp: Stamp, since: Stamp) -> tuple[Probe, ...]:
+    def take(self, stamp: Stamp, since: Stamp) -> tuple[ProbedError, ...]:
         """Return the usable probes up to the sample of `stamp`, oldest first.
 
         Parameters
@@ -305,7 +305,7 @@ class ProbeSource:
             self._applied.popleft()
         return tuple(probe for probe in usable if probe is not None)
 
-    def _probe(self, record: Displacement) -> Probe | None:
+    def _probe(self, record: Displacement) -> ProbedError | None:
         """Return what a record says of the bare machine, None if nothing."""
         due = [
             record.stamp - self._used_at.get(name, -self._interval) >= self._interval
@@ -344,7 +344,7 @@ class ProbeSource:
         self.trouble = ''
         # A probe of unknown deviation gets the least one.
         deviation = np.fmax(record.standard_deviation, self._noise)
-        return Probe(
+        return ProbedError(
             record.stamp, record.channel, record.axis, error, deviation, offset, record.position
         )
 
@@ -383,7 +383,7 @@ class ProbeSource:
 
 
 @dataclass(frozen=True, eq=False)
-class Heard:
+class StreamSample:
     """A sample with what else the stream said up to it.
 
     Attributes
@@ -392,7 +392,7 @@ class Heard:
         Temperatures of all sensors.
     spindle_speed : float
         Size of the spindle speed [rad/s]; NaN if it is not known.
-    probes : tuple of Probe
+    probes : tuple of ProbedError
         Probes since the sample before.
     drives : mapping of str to float
         What else the control told of heat, its means since the sample before; see `ThermalRun`.
@@ -400,7 +400,7 @@ class Heard:
 
     sample: Temperatures
     spindle_speed: float = np.nan
-    probes: tuple[Probe, ...] = ()
+    probes: tuple[ProbedError, ...] = ()
     drives: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -445,7 +445,7 @@ class PredictorStream:
         self.awaited = 'waiting for temperatures'
         self.speeds, self.drives = SpeedSources(), ControlDrives()
         self.probes = ProbeSource(config) if config.learn else None
-        self._heard = KeptSamples[Heard](lambda heard: heard.sample)
+        self._heard = KeptSamples[StreamSample](lambda heard: heard.sample)
         self._former: ThermalReference | None = None
         """Reference of the checkpoint of before a step of the clock."""
 
@@ -489,7 +489,7 @@ class PredictorStream:
                 fresh.keep(replace(kept, stamp=max(0, kept.stamp + step)))
         return fresh
 
-    def hear(self, sample: Temperatures) -> Heard:
+    def hear(self, sample: Temperatures) -> StreamSample:
         """Return a sample with what else is known of its time; keep it as long as it matters.
 
         That is `settle_time`, for a model that is to begin then.  A speed that has been unknown
@@ -498,7 +498,7 @@ class PredictorStream:
         stamp, told = sample.stamp, self.speeds.newest
         known = told is not None and stamp - told.stamp <= nanoseconds(self.config.gap_max)
         since = self.reference.stamp if self.reference is not None else stamp
-        heard = Heard(
+        heard = StreamSample(
             sample,
             abs(told.speed) if told is not None and known else np.nan,
             self.probes.take(stamp, since) if self.probes is not None else (),
@@ -509,7 +509,7 @@ class PredictorStream:
         self._heard.drop_before(stamp - nanoseconds(self.config.settle_time))
         return heard
 
-    def since(self, stamp: Stamp) -> Iterator[Heard]:
+    def since(self, stamp: Stamp) -> Iterator[StreamSample]:
         """Yield the samples after a stamp [ns], oldest first."""
         kept, newest = list(self._heard), self._heard.newest
         if newest is not None and newest is not kept[-1]:
@@ -553,7 +553,7 @@ class PredictorStream:
             return None
 
     @property
-    def newest(self) -> Heard | None:
+    def newest(self) -> StreamSample | None:
         """The newest sample."""
         return self._heard.newest
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.components.thermal.fade import Fade
-from fuzzycnc_ros.components.thermal.predictor_stream import Probe
+from fuzzycnc_ros.components.thermal.predictor_stream import ProbedError
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.thermal.band import WIDTH
 from fuzzycnc_ros.core.thermal.confirmation import is_right, is_wrong, judged
@@ -177,7 +177,7 @@ class ProbeLearning:
             self._learner.step(rise, known, self._elapsed(stamp), motion)
 
     def apply(
-        self, stamp: Stamp, predicted: Floats, deviation: Floats, probes: tuple[Probe, ...]
+        self, stamp: Stamp, predicted: Floats, deviation: Floats, probes: tuple[ProbedError, ...]
     ) -> tuple[Floats, Floats]:
         """Return the error and its standard deviation, probes considered, shapes (c,) [m].
 
@@ -187,7 +187,7 @@ class ProbeLearning:
             Stamp of the sample [ns], the last that was stepped to.
         predicted, deviation : ndarray, shape (c,)
             Prediction of the model [m].
-        probes : tuple of Probe
+        probes : tuple of ProbedError
             Probes since the sample before, oldest first; they act from the next sample on.
         """
         if self._learner is None:
@@ -206,7 +206,7 @@ class ProbeLearning:
         self._deviation = np.hypot(known, jump)
         return predicted + learnt + jump, self._deviation
 
-    def _take(self, probe: Probe, stamp: Stamp, predicted: Floats) -> None:
+    def _take(self, probe: ProbedError, stamp: Stamp, predicted: Floats) -> None:
         assert self._learner is not None
         expected = self._at(probe.stamp, stamp, predicted)
         before, deviation = self._learner.predict()

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fuzzycnc_ros.components.thermal.fade import Fade
-from fuzzycnc_ros.components.thermal.predictor_stream import Heard, PredictorStream
+from fuzzycnc_ros.components.thermal.predictor_stream import PredictorStream, StreamSample
 from fuzzycnc_ros.components.thermal.probe_learning import ProbeLearning
 from fuzzycnc_ros.components.thermal.sensor_substitution import RiseSource
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
@@ -161,7 +161,7 @@ class ModelHistory:
         """Take the substitutes of another selection."""
         self._source = None
 
-    def take(self, heard: Heard) -> None:
+    def take(self, heard: StreamSample) -> None:
         """Step the model to a sample; sets `prediction`, or None with `reason` and `detail`."""
         self.prediction = None
         error = self._step(heard)
@@ -273,7 +273,7 @@ class ModelHistory:
             return None
         return self.learning.record(stamp, self.hash, frame_id)
 
-    def _step(self, heard: Heard) -> Floats | None:
+    def _step(self, heard: StreamSample) -> Floats | None:
         """Step the model; return the error [m], or None and set the reason."""
         stamp = heard.sample.stamp
         # Before the sample is read: the checkpoint knows which sensors were voted out.
@@ -314,7 +314,7 @@ class ModelHistory:
         )
         return False
 
-    def _advance(self, vector: Floats, steps: int, heard: Heard) -> Floats:
+    def _advance(self, vector: Floats, steps: int, heard: StreamSample) -> Floats:
         """Step the model, along a straight line over missing samples."""
         sensors, stamp = len(self.model.inputs), heard.sample.stamp
         interval = nanoseconds(self.model.interval)
@@ -395,7 +395,7 @@ class ModelHistory:
         numbers, blocks = read_blocks(checkpoint.state, size + len(self.model.drivers))
         return numbers[:size], numbers[size:], blocks
 
-    def _vector_of(self, heard: Heard) -> Floats | None:
+    def _vector_of(self, heard: StreamSample) -> Floats | None:
         """Return what the model steps with, or None and set the reason."""
         rise = self._rise_of(heard.sample)
         if rise is None:
@@ -431,7 +431,7 @@ class ModelHistory:
         most = SPEED_MARGIN * SPEED_MARGIN
         return {name: most * largest for name, largest in self.model.drives_max.items()}
 
-    def _outside(self, heard: Heard) -> str:
+    def _outside(self, heard: StreamSample) -> str:
         """Say why the newest sample is out of domain, '' if it is not."""
         assert self._vector is not None
         distance = float(self.model.distance(self._vector[: len(self.model.inputs)]))

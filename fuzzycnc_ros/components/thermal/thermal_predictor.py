@@ -18,8 +18,8 @@ from fuzzycnc_ros.components.thermal.fade import Fade
 from fuzzycnc_ros.components.thermal.predictor_stream import (
     OWN,
     STATE,
-    Heard,
     PredictorStream,
+    StreamSample,
     speed_told,
 )
 from fuzzycnc_ros.components.thermal.thermal_history import ModelHistory, Prediction, losses_of
@@ -126,7 +126,7 @@ class ModelSwap:
         for model in self._models:
             model.begin()
 
-    def take(self, heard: Heard) -> Prediction | None:
+    def take(self, heard: StreamSample) -> Prediction | None:
         """Step all models to a sample; return what to publish, None if nothing is valid."""
         stamp = heard.sample.stamp
         for model in self._models:

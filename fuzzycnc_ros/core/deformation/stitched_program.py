@@ -70,7 +70,7 @@ class _Figure:
 
 
 @dataclass(frozen=True)
-class _Entry:
+class _ProgramLine:
     """A line of the program, and the figure and block that it belongs to."""
 
     block: Block
@@ -129,7 +129,7 @@ class StitchedProgram:
         size: tuple[float, float] | None = None,
     ) -> None:
         self.figures: list[_Figure] = []
-        self._entries: list[_Entry] = []
+        self._entries: list[_ProgramLine] = []
         self._step, self._size = step, size
         self._unit, self._absolute, self._cutter = _UNITS[units], True, False
         self._open = False
@@ -202,7 +202,7 @@ class StitchedProgram:
         passed = segment is None or segment.rapid or isinstance(segment, UnplacedSegment)
         if segment is None or passed or not _travels(block):
             self._open = self._open and not _travels(block)
-            self._entries.append(_Entry(block, self._unit))
+            self._entries.append(_ProgramLine(block, self._unit))
             return
         points = self._stitches(block)
         start = np.array(segment.start[:2])
@@ -215,7 +215,7 @@ class StitchedProgram:
         figure.kind.append(float(ARC if turn else LINE))
         figure.turn.append(float(np.sign(turn)))
         figure.lines.append(block.line)
-        entry = _Entry(block, self._unit, len(self.figures) - 1, len(figure.lines) - 1)
+        entry = _ProgramLine(block, self._unit, len(self.figures) - 1, len(figure.lines) - 1)
         self._entries.append(entry)
 
     def _stitches(self, block: Block) -> Array:
@@ -288,7 +288,7 @@ def _word_of(block: Block) -> str:
     return 'G3' if block.segment.sweep > 0.0 else 'G2'
 
 
-def _placed(entry: _Entry, shift: Array) -> str:
+def _placed(entry: _ProgramLine, shift: Array) -> str:
     """Return a line that is not stitched, with both axes named if the tool stands elsewhere."""
     block, segment = entry.block, entry.block.segment
     if segment is None or not segment.rapid or not _travels(block):

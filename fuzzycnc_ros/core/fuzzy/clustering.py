@@ -477,7 +477,7 @@ def grow_clusters(
     return model.fit(samples)
 
 
-class _Found(NamedTuple):
+class _BestPartition(NamedTuple):
     """Memberships (c, n), centres, norms and objectives of the best start."""
 
     membership: Array
@@ -513,7 +513,7 @@ def _round_covariance(points: Array, regularisation: float) -> Array:
 
 def _iterate_with_norms(
     points: Array, seeds: Array, m: float, mixed: Array, share: float, max_iter: int, tol: float
-) -> _Found:
+) -> _BestPartition:
     """Alternate memberships and centres [gustafson1978] (r, c, p); return the best start."""
     features = np.ascontiguousarray(points.T)
     apart = features - seeds[..., np.newaxis]
@@ -544,7 +544,7 @@ def _iterate_with_norms(
     best = min(range(starts), key=lambda start: history[start][-1])
     found, center, factor, converged = last[best]
     norm = portable.matmul(factor, factor.swapaxes(-1, -2))
-    return _Found(found, center, norm, np.array(history[best]), converged)
+    return _BestPartition(found, center, norm, np.array(history[best]), converged)
 
 
 def _norm_factor(covariance: Array) -> Array:

@@ -235,7 +235,7 @@ def fit_response(response: FrequencyResponse, gain: float, viscous: float) -> Re
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
+class _SearchEnd:
     """An end of the search."""
 
     values: dict[str, float]
@@ -285,7 +285,7 @@ class _Search:
         ratio = self.measured / modelled
         return np.concatenate([self.weight * np.log(np.abs(ratio)), self.weight * np.angle(ratio)])
 
-    def best(self, start: dict[str, float], fixed: dict[str, float] | None = None) -> _Found:
+    def best(self, start: dict[str, float], fixed: dict[str, float] | None = None) -> _SearchEnd:
         """Return the nearest end of the search; some parameters may be fixed."""
         names, held = tuple(start), fixed or {}
         bounds = np.array([_BOUNDS[name] for name in names])
@@ -311,9 +311,9 @@ class _Search:
             f_scale=3.0,
             max_nfev=60,
         )
-        return _Found(values(end.x), float(end.cost), end.jac / scale, names, self.free)
+        return _SearchEnd(values(end.x), float(end.cost), end.jac / scale, names, self.free)
 
-    def room(self, rigid: _Found, top: float) -> float:
+    def room(self, rigid: _SearchEnd, top: float) -> float:
         """Return the lowest frequency at which a mode may be that does not show [Hz]."""
         most = rigid.cost + _ROOM * max(2.0 * rigid.cost / self.free, 1.0)
         lowest = 8.0 * top
@@ -327,7 +327,7 @@ class _Search:
             lowest = mode
         return lowest
 
-    def with_lag(self, found: _Found) -> float:
+    def with_lag(self, found: _SearchEnd) -> float:
         """Return the least dead time if part of it is a lag [s]."""
         best, least = inf, found.values['delay']
         for share in np.linspace(0.0, 1.0, 11):
@@ -339,7 +339,7 @@ class _Search:
                 least = min(least, (1.0 - share) * delay)
         return least
 
-    def shows(self, found: _Found, top: float) -> bool:
+    def shows(self, found: _SearchEnd, top: float) -> bool:
         """Return True if a mode lies among the known lines and makes a difference there."""
         mode = found.values['mode']
         if not max(_LOWEST_MODE, 2.0 * self.frequency[0]) < mode < top / _BEYOND:

@@ -23,7 +23,7 @@ _PLAUSIBLE = {'offset': 1.0, 'slope': 1.0, 'reference_position': 1000.0}
 
 
 class OffsetStatus(IntEnum):
-    """States of the offset input; the numbers are those of CompensationApplied."""
+    """States of the offset input, `CompensationApplied.STATUS_*`."""
 
     IDLE = 0
     FOLLOWING = 1

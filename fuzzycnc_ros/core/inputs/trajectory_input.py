@@ -226,7 +226,7 @@ def _refused_by_limits(motion: _Motion, axes: Sequence[str], config: TrajectoryI
 
 
 class TrajectoryStatus(IntEnum):
-    """States of the trajectory input; the numbers are those of TrajectoryState."""
+    """States of the trajectory input, `TrajectoryState.STATUS_*`."""
 
     IDLE = 0
     FOLLOWING = 1

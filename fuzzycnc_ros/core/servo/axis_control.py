@@ -20,11 +20,11 @@ from typing import Any, NamedTuple
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData
 from fuzzycnc_ros.core.servo.axis import LinearAxis, response_lag, velocity_lag
-from fuzzycnc_ros.core.servo.baselines import CascadeController, PidController
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 from fuzzycnc_ros.core.servo.observer import ObserverNoise
 from fuzzycnc_ros.core.servo.params import VariableUniverseParams, default_crossover
+from fuzzycnc_ros.core.servo.pid_cascade import CascadeController, PidController
 from fuzzycnc_ros.core.servo.rule_table import RuleTable
 from fuzzycnc_ros.core.servo.stick_slip import StickSlipParams
 from fuzzycnc_ros.core.servo.variable_universe import (

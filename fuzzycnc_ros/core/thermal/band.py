@@ -153,7 +153,7 @@ GROWTHS = (0.5, 1.0, 2.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Band:
+class PredictionBand:
     """Standard deviation of a prediction, wider where the model was not trained.
 
     Parameters
@@ -190,7 +190,7 @@ def _widening(distance: Array, growth: float) -> Array:
     return np.maximum(1.0, growth * distance)
 
 
-def fitted_band(residual: Array, distance: Array, folds: int) -> Band:
+def fitted_band(residual: Array, distance: Array, folds: int) -> PredictionBand:
     """Return the band that residuals of unseen samples speak for.
 
     The growth is the one under which they are most likely, if they are normal; the deviation of
@@ -212,14 +212,16 @@ def fitted_band(residual: Array, distance: Array, folds: int) -> Band:
     [lei2018]
     """
     bands = [
-        Band(held_out_deviation(residual / _widening(distance, growth)[:, np.newaxis]), growth)
+        PredictionBand(
+            held_out_deviation(residual / _widening(distance, growth)[:, np.newaxis]), growth
+        )
         for growth in GROWTHS
     ]
     surprise = [_surprise(residual, band.at(distance)) for band in bands]
     best = bands[int(np.argmin(surprise))]
     # Samples of one run err alike: what counts is how many runs there were.
     unknown = _student(SCATTER_WEIGHT + folds, 0.5 + 0.5 * COVERED) / WIDTH
-    return Band(max(1.0, unknown) * best.deviation, best.growth)
+    return PredictionBand(max(1.0, unknown) * best.deviation, best.growth)
 
 
 def _surprise(residual: Array, deviation: Array) -> float:

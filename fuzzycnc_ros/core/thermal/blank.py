@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from fuzzycnc_ros.core.thermal.band import Band
+from fuzzycnc_ros.core.thermal.band import PredictionBand
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED, Candidate
 from fuzzycnc_ros.core.thermal.domain import Domain
 from fuzzycnc_ros.core.thermal.model import ThermalModel
@@ -53,5 +53,5 @@ def blank_model(inputs: Sequence[str], channel: Sequence[str], interval: float) 
         default=(UNCOMPENSATED,) * channels,
         selection=SensorSelection('all', tuple(alone), 1.0, np.nan, (), ()),
         domain=Domain(np.zeros(sensors), np.empty((0, sensors)), np.empty(0), np.inf),
-        band=Band(np.zeros(channels), 0.0),
+        band=PredictionBand(np.zeros(channels), 0.0),
     )

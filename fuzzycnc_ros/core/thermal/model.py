@@ -19,7 +19,7 @@ from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import LENGTH_MIN, NUMBER_MAX, Array
 from fuzzycnc_ros.core.document import ModelFileError, Node, parse_document
 from fuzzycnc_ros.core.names import text_hash
-from fuzzycnc_ros.core.thermal.band import Band
+from fuzzycnc_ros.core.thermal.band import PredictionBand
 from fuzzycnc_ros.core.thermal.candidate import (
     CANDIDATES,
     COMPARED_ONLY,
@@ -121,7 +121,7 @@ class ThermalModel:
     default: tuple[str, ...]
     selection: SensorSelection
     domain: Domain
-    band: Band
+    band: PredictionBand
     drivers: tuple[str, ...] = ()
     bound: Array | None = None
     omitted: Mapping[str, str] = field(default_factory=dict)
@@ -435,7 +435,7 @@ class ThermalModel:
         -------
         ndarray, shape (..., c)
             That of the held-out residual, wider with the distance from the training [m]; see
-            `Band`.
+            `PredictionBand`.
         """
         samples = np.asarray(rise, dtype=np.float64)
         return self.band.at(self.distance(samples))
@@ -613,7 +613,7 @@ DEVIATION_MAX = 1.0
 """Largest standard deviation of a held-out residual [m]."""
 
 GROWTH_MAX = 100.0
-"""Largest growth of a band [-]; see `Band`."""
+"""Largest growth of a band [-]; see `PredictionBand`."""
 
 GAIN_MAX = 1e4
 """Largest rise of a sensor in rises of the one that stands in for it [-]."""
@@ -781,7 +781,7 @@ def _fields(root: Node) -> dict[str, Any]:
         domain=(_read_ellipsoid if version < 3 else _read_domain)(
             root.get('domain'), len(inputs), first
         ),
-        band=Band(
+        band=PredictionBand(
             np.array(
                 [node.get('residual_deviation').number(0.0, DEVIATION_MAX) for node in channels]
             ),

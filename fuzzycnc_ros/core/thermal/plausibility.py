@@ -41,7 +41,7 @@ WARM = 2.0
 """Least range of a sensor that shows how fast a machine warms [K]."""
 
 
-class Lone(NamedTuple):
+class Outlier(NamedTuple):
     """A value that stands alone: both neighbours agree, and are far off.
 
     Parameters
@@ -69,7 +69,7 @@ class Lone(NamedTuple):
         return f'{self.place} {self.before * scale:.4g} and {self.behind * scale:.4g}'
 
 
-def lone_values(values: Array, step: float, held: float = np.inf) -> Iterator[Lone]:
+def lone_values(values: Array, step: float, held: float = np.inf) -> Iterator[Outlier]:
     """Yield the values (n, w) that stand alone, column by column.
 
     Parameters
@@ -117,7 +117,7 @@ def lone_values(values: Array, step: float, held: float = np.inf) -> Iterator[Lo
             place = {0: 'before', len(own) - 1: 'behind'}.get(at, 'between')
             near = (own[1], own[2]) if at == 0 else (before[at], behind[at])
             near = (own[-3], own[-2]) if at == len(own) - 1 else near
-            yield Lone(
+            yield Outlier(
                 int(rows[at]),
                 column,
                 float(near[0]),
@@ -169,7 +169,7 @@ def _noise(readings: Array) -> float:
     return float(np.median(np.abs(np.diff(readings, 2))) / (0.6745 * np.sqrt(6.0)))
 
 
-class Pace(NamedTuple):
+class WarmingRate(NamedTuple):
     """Rate at which a machine warms and moves.
 
     Parameters
@@ -185,7 +185,7 @@ class Pace(NamedTuple):
     witnesses: int
 
 
-def odd_pace(time: Array, temperature: Array, displacement: Array) -> Pace | None:
+def odd_pace(time: Array, temperature: Array, displacement: Array) -> WarmingRate | None:
     """Return how fast a machine warms and moves where that is faster or slower than machines do.
 
     Parameters
@@ -215,9 +215,9 @@ def odd_pace(time: Array, temperature: Array, displacement: Array) -> Pace | Non
     needed = min(2, len(found))
     fast, slow = int((found < WARMING_MIN).sum()), int((found > WARMING_MAX).sum())
     if fast >= needed and found.max() < PACE_MARGIN * WARMING_MIN:
-        return Pace(float(np.median(found)), fast, len(found))
+        return WarmingRate(float(np.median(found)), fast, len(found))
     if slow >= needed and found.min() > WARMING_MAX / PACE_MARGIN:
-        return Pace(float(np.median(found)), slow, len(found))
+        return WarmingRate(float(np.median(found)), slow, len(found))
     return None
 
 

@@ -64,7 +64,7 @@ class Turned(NamedTuple):
     left: float
 
 
-class _Told(NamedTuple):
+class _RunSignals(NamedTuple):
     """Rises (n, s) and displacements (n, c) of a run, both weighted."""
 
     rise: Array
@@ -130,7 +130,7 @@ def _turned(runs: Sequence[ThermalRun], channels: tuple[str, ...]) -> list[Turne
     ]
 
 
-def _told(runs: Sequence[ThermalRun], channels: tuple[str, ...]) -> dict[str, _Told]:
+def _told(runs: Sequence[ThermalRun], channels: tuple[str, ...]) -> dict[str, _RunSignals]:
     """Return rises and displacements a minute apart, by name, of the runs that tell anything."""
     common = [
         name
@@ -152,21 +152,21 @@ def _told(runs: Sequence[ThermalRun], channels: tuple[str, ...]) -> dict[str, _T
             or np.ptp(moved, axis=0).max() < MOTION_TELLING
         ):
             continue
-        told[run.name] = _Told(
+        told[run.name] = _RunSignals(
             rise[::every], (moved - moved[:REFERENCE_SAMPLES].mean(axis=0))[::every]
         )
     return told
 
 
-def _weighted(told: Sequence[_Told]) -> list[_Told]:
+def _weighted(told: Sequence[_RunSignals]) -> list[_RunSignals]:
     """Return what runs tell with the same power of each run, sensor and channel."""
     rise = np.sqrt(np.mean([(item.rise**2).mean(axis=0) for item in told], axis=0))
     moved = np.sqrt(np.mean([(item.moved**2).mean(axis=0) for item in told], axis=0))
     rise[rise == 0.0] = moved[moved == 0.0] = 1.0
-    scaled = [_Told(item.rise / rise, item.moved / moved) for item in told]
+    scaled = [_RunSignals(item.rise / rise, item.moved / moved) for item in told]
     power = [float(np.sqrt((item.moved**2).sum())) or 1.0 for item in scaled]
     return [
-        _Told(item.rise / size, item.moved / size)
+        _RunSignals(item.rise / size, item.moved / size)
         for item, size in zip(scaled, power, strict=True)
     ]
 

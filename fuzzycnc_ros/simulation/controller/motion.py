@@ -110,12 +110,12 @@ def command(path: Sequence[tuple[Moves, Corners]], limits: ControllerLimits) -> 
 def _chain(moves: Moves, corners: Corners, limits: ControllerLimits) -> Commanded:
     """Return what is commanded from one rest to the next, and while it stands there."""
     plan = Plan(moves, corners, limits)
-    run = _Run(plan, moves.rest.tolist(), limits)
+    run = _PlannerRun(plan, moves.rest.tolist(), limits)
     position, place = _evaluated(moves, plan, run, limits.period)
     return Commanded(position, place, limits.period * len(place))
 
 
-class _Run:
+class _PlannerRun:
     """Runs segments period by period, as LinuxCNC's planner does.
 
     Even acceleration over many periods is kept as one entry.
@@ -326,7 +326,7 @@ def _final(one: PlannedPart, after: PlannedPart | None) -> float:
     return one.final if one.final < top else top
 
 
-def _evaluated(moves: Moves, plan: Plan, run: _Run, period: float) -> tuple[Array, Array]:
+def _evaluated(moves: Moves, plan: Plan, run: _PlannerRun, period: float) -> tuple[Array, Array]:
     """Return positions and places at the ends of all periods."""
     way = np.array(run.way)
     entry = np.arange(len(way))

@@ -20,7 +20,7 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
 )
 from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
-from fuzzycnc_ros.runtime.enums import TrajectoryStatus
+from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryStatus
 from fuzzycnc_ros.runtime.graph import Sink
 from fuzzycnc_ros.runtime.records import (
     SECOND,

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from fuzzycnc_ros.bags.os_errors import about
 from fuzzycnc_ros.studies.fleet.content import FileState
-from fuzzycnc_ros.studies.fleet.judging import Document, Judged
+from fuzzycnc_ros.studies.fleet.judging import BagResult, Document
 
 FILE = 'judged.sqlite'
 """File in the folder of the cache."""
@@ -39,7 +39,7 @@ _FACTS = ''
 
 
 @dataclass(frozen=True)
-class Known:
+class StoredResults:
     """Stored results of a bag.
 
     Parameters
@@ -112,7 +112,7 @@ class Cache:
             ).fetchone()
         return found is not None
 
-    def known(self, sha256: str) -> Known:
+    def known(self, sha256: str) -> StoredResults:
         """Return what is known of a bag by its content."""
         with self._named():
             rows = self._base.execute(
@@ -120,9 +120,9 @@ class Cache:
                 (sha256, self._version),
             ).fetchall()
         found = {(machine, model): json.loads(text) for machine, model, text in rows}
-        return Known(found.pop((_FACTS, _FACTS), None), found)
+        return StoredResults(found.pop((_FACTS, _FACTS), None), found)
 
-    def put(self, path: str, judged: Judged) -> None:
+    def put(self, path: str, judged: BagResult) -> None:
         """Remember a bag; then it is safe from a kill."""
         documents = [
             (_FACTS, _FACTS, judged.facts),

@@ -50,7 +50,7 @@ _DAY = 86_400e9
 
 
 @dataclass(frozen=True)
-class Trend:
+class SlopeEstimate:
     """A slope and its confidence interval, per 30 days in the unit of its values.
 
     NaN where there are too few bags.
@@ -72,7 +72,7 @@ class Trend:
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class ResidualHistory:
     """Residuals of a model on a channel of a machine, bag by bag, oldest first.
 
     Parameters
@@ -87,9 +87,9 @@ class Course:
         Share of the samples in the domain of the training [-].
     held_out : float
         What training had promised [um].
-    trend : Trend
+    trend : SlopeEstimate
         Of `rms`.
-    domain_trend : Trend
+    domain_trend : SlopeEstimate
         Of `in_domain`.
     ratio, ratio_low : float
         Median `rms` of the newest bags over `held_out`, and the lower end of its interval [-].
@@ -106,8 +106,8 @@ class Course:
     bare: Array
     in_domain: Array
     held_out: float
-    trend: Trend
-    domain_trend: Trend
+    trend: SlopeEstimate
+    domain_trend: SlopeEstimate
     ratio: float
     ratio_low: float
     trained: int
@@ -157,7 +157,7 @@ class Course:
 
 
 @dataclass(frozen=True, eq=False)
-class SensorCourse:
+class MissingHistory:
     """Missing shares of a sensor, bag by bag, oldest first.
 
     Parameters
@@ -169,7 +169,7 @@ class SensorCourse:
     missing, substituted, bridged : ndarray, shape (n,)
         Shares of samples that were missing, that others stood in for, that a straight line
         bridged [-].
-    trend : Trend
+    trend : SlopeEstimate
         Of `missing`.
     """
 
@@ -179,7 +179,7 @@ class SensorCourse:
     missing: Array
     substituted: Array
     bridged: Array
-    trend: Trend
+    trend: SlopeEstimate
 
     @property
     def newest_missing(self) -> float:
@@ -213,11 +213,11 @@ class ShopCondition:
         Number of bags.
     first, last : int
         Time of the oldest and the newest bag [ns].
-    drifts : tuple of Course
+    drifts : tuple of ResidualHistory
         The course that drifts most of each channel of each machine first.
-    stale : tuple of Course
+    stale : tuple of ResidualHistory
         The same courses, the model that fits least first.
-    sensors : tuple of SensorCourse
+    sensors : tuple of MissingHistory
         The sensor that is missing most first.
     unjudged : tuple of Unjudged
         Bags that could not be judged.
@@ -229,9 +229,9 @@ class ShopCondition:
     bags: int
     first: int
     last: int
-    drifts: tuple[Course, ...]
-    stale: tuple[Course, ...]
-    sensors: tuple[SensorCourse, ...]
+    drifts: tuple[ResidualHistory, ...]
+    stale: tuple[ResidualHistory, ...]
+    sensors: tuple[MissingHistory, ...]
     unjudged: tuple[Unjudged, ...]
     versions: tuple[str, ...]
 
@@ -266,7 +266,7 @@ def shop_condition(rows: Sequence[Row]) -> ShopCondition:
     )
 
 
-def trend(begin: Array, values: Array, together: int = 1) -> Trend:
+def trend(begin: Array, values: Array, together: int = 1) -> SlopeEstimate:
     """Return the trend of values over time.
 
     Parameters
@@ -281,11 +281,11 @@ def trend(begin: Array, values: Array, together: int = 1) -> Trend:
     known = np.isfinite(values)
     days, known_values = (begin[known] - begin[0]) / _DAY if len(begin) else begin, values[known]
     if len(known_values) < BAGS_MIN or np.ptp(days) <= 0.0:
-        return Trend()
+        return SlopeEstimate()
     days, known_values = _stretches(days), _stretches(known_values)
     confidence = 1.0 - (1.0 - CONFIDENCE) / max(together, 1)
     slope, _, low, high = theilslopes(known_values, days, confidence)
-    return Trend(MONTH * float(slope), MONTH * float(low), MONTH * float(high))
+    return SlopeEstimate(MONTH * float(slope), MONTH * float(low), MONTH * float(high))
 
 
 def newest(values: Array) -> Array:
@@ -293,7 +293,7 @@ def newest(values: Array) -> Array:
     return values[len(values) - ceil(NEWEST * len(values)) :]
 
 
-def _course(rows: Sequence[Row], together: int) -> Course:
+def _course(rows: Sequence[Row], together: int) -> ResidualHistory:
     rows = sorted(rows, key=_by_time)
     # What a model was trained on it leaves little of; that would look like a drift afterwards.
     unseen = [row for row in rows if not row['trained_on']]
@@ -304,7 +304,7 @@ def _course(rows: Sequence[Row], together: int) -> Course:
     )
     held_out = float(rows[-1]['held_out_rms_um'])
     low, middle = _median_bound(newest(rms), together)
-    return Course(
+    return ResidualHistory(
         machine=rows[0]['machine'],
         model=rows[0]['model'],
         channel=rows[0]['channel'],
@@ -322,7 +322,7 @@ def _course(rows: Sequence[Row], together: int) -> Course:
     )
 
 
-def _sensors(rows: Sequence[Row]) -> Iterator[SensorCourse]:
+def _sensors(rows: Sequence[Row]) -> Iterator[MissingHistory]:
     """Yield the sensors of all machines; of several models that read a bag the most counts."""
     shares: dict[tuple[str, str], dict[tuple[float, str], list[float]]] = {}
     for row in rows:
@@ -337,7 +337,7 @@ def _sensors(rows: Sequence[Row]) -> Iterator[SensorCourse]:
         table = np.array([bags[key] for key in order])
         missing, substituted, bridged = table.T
         falls = trend(begin, missing, len(shares))
-        yield SensorCourse(machine, sensor, begin, missing, substituted, bridged, falls)
+        yield MissingHistory(machine, sensor, begin, missing, substituted, bridged, falls)
 
 
 def _median_bound(values: Array, together: int) -> tuple[float, float]:
@@ -374,15 +374,15 @@ def _by_time(row: Row) -> tuple[int, str]:
     return row['begin'], row['path']
 
 
-def _by_drift(item: Course) -> tuple[float, float, str, str, str]:
+def _by_drift(item: ResidualHistory) -> tuple[float, float, str, str, str]:
     slope = item.trend.slope if isfinite(item.trend.slope) else -inf
     return -item.drift, -slope, item.machine, item.channel, item.model
 
 
-def _by_staleness(item: Course) -> tuple[bool, bool, float, str, str, str]:
+def _by_staleness(item: ResidualHistory) -> tuple[bool, bool, float, str, str, str]:
     ratio = item.ratio if not np.isnan(item.ratio) else 0.0
     return not item.stale, not item.diverged, -ratio, item.machine, item.channel, item.model
 
 
-def _by_missing(item: SensorCourse) -> tuple[float, float, str, str]:
+def _by_missing(item: MissingHistory) -> tuple[float, float, str, str]:
     return -item.newest_missing, -float(item.missing.mean()), item.machine, item.sensor

@@ -13,14 +13,14 @@ from fuzzycnc_ros.bags.finding import NamedBag
 from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.core.thermal.band import is_false_band
 from fuzzycnc_ros.core.thermal.model import load_model
-from fuzzycnc_ros.studies.fleet.cache import Cache, Known
+from fuzzycnc_ros.studies.fleet.cache import Cache, StoredResults
 from fuzzycnc_ros.studies.fleet.content import files_of, result_version
 from fuzzycnc_ros.studies.fleet.in_flight import Crew, InFlight, Killed
 from fuzzycnc_ros.studies.fleet.judging import (
+    BagResult,
+    BagTask,
     Document,
     FleetModel,
-    Judged,
-    Task,
     judge_bag,
     machine_name,
     one_line,
@@ -188,7 +188,7 @@ class _Fleet:
         self._places = [str(bag.path.absolute()) for bag in bags]
         self._cache, self._table, self._tell = cache, table, tell
         self._hashes: list[str | None] = [None] * len(bags)
-        self._lost: dict[int, Judged] = {}  # what is not for the cache
+        self._lost: dict[int, BagResult] = {}  # what is not for the cache
         self._written = 0
         self.summary = FleetSummary(bags=len(bags))
 
@@ -212,7 +212,7 @@ class _Fleet:
             self._say(at + 1 - len(moved) - len(unknown))
         work = InFlight(judge_bag, crew)
         for task, found in work.done(self._tasks(moved, only_hash=True), len(moved)):
-            if isinstance(found, Judged) and found.sha256:
+            if isinstance(found, BagResult) and found.sha256:
                 self._cache.put(task.path, found)
                 self._hashes[task.number] = found.sha256
             if self._known(task.number) is None:
@@ -229,16 +229,18 @@ class _Fleet:
         """Write the rows that are not in the table yet."""
         for at in range(self._written, len(self._bags)):
             lost = self._lost.pop(at, None)
-            known = Known(lost.facts, lost.figures) if lost is not None else self._known(at)
+            known = (
+                StoredResults(lost.facts, lost.figures) if lost is not None else self._known(at)
+            )
             assert known is not None
             self._write(at, known)
 
-    def _tasks(self, numbers: Sequence[int], only_hash: bool = False) -> Iterator[Task]:
+    def _tasks(self, numbers: Sequence[int], only_hash: bool = False) -> Iterator[BagTask]:
         for at in numbers:
             bag = self._bags[at]
-            yield Task(at, self._places[at], bag.name, self._models, self._by, only_hash)
+            yield BagTask(at, self._places[at], bag.name, self._models, self._by, only_hash)
 
-    def _known(self, at: int) -> Known | None:
+    def _known(self, at: int) -> StoredResults | None:
         """Return what the cache has of a bag; None unless that is all that is wanted."""
         sha256 = self._hashes[at]
         known = None if sha256 is None else self._cache.known(sha256)
@@ -264,14 +266,14 @@ class _Fleet:
             for model in fitting:
                 yield namespace, machine, model
 
-    def _take(self, task: Task, judged: Judged | Killed) -> None:
+    def _take(self, task: BagTask, judged: BagResult | Killed) -> None:
         """Keep what came of a bag."""
         if isinstance(judged, Killed):
             problem = (
                 f'{task.path}: its process was killed each time it was judged; if memory ran '
                 'out, judge it with fewer workers'
             )
-            judged = Judged('', (), '', {'problem': problem}, {}, lasting=False)
+            judged = BagResult('', (), '', {'problem': problem}, {}, lasting=False)
         elif judged.version != result_version():
             raise ValueError(
                 f'expected workers with fuzzycnc {result_version()} but found {judged.version}; '
@@ -283,7 +285,7 @@ class _Fleet:
         else:
             self._lost[task.number] = judged
 
-    def _write(self, at: int, known: Known) -> None:
+    def _write(self, at: int, known: StoredResults) -> None:
         """Write the rows of a bag."""
         bag, facts = self._bags[at], known.facts or {}
         common: Row = {

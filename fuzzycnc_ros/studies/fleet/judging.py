@@ -63,7 +63,7 @@ class FleetModel:
 
 
 @dataclass(frozen=True)
-class Task:
+class BagTask:
     """A bag and what is wanted of it.
 
     Parameters
@@ -89,7 +89,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Judged:
+class BagResult:
     """Result of a bag.
 
     Parameters
@@ -121,7 +121,7 @@ def machine_name(namespace: str, path: str, machine_by: str) -> str:
     return namespace if machine_by == 'bag' and namespace else Path(path).parent.name
 
 
-def judge_bag(task: Task) -> Judged:
+def judge_bag(task: BagTask) -> BagResult:
     """Judge a bag with models; what is wrong becomes a sentence.
 
     The figures are the same in any process on any host: linear algebra has one thread.
@@ -133,9 +133,9 @@ def judge_bag(task: Task) -> Judged:
         sha256 = content_hash(path, files)
     except OSError as error:
         facts = {'problem': os_sentence(error)}
-        return Judged('', (), result_version(), facts, {}, lasting=False)
+        return BagResult('', (), result_version(), facts, {}, lasting=False)
     if task.only_hash:
-        return Judged(sha256, files, result_version(), {}, {})
+        return BagResult(sha256, files, result_version(), {}, {})
     with one_at_a_time:
         lasting, facts = _tried(partial(bag_facts, path), task)
         figures: dict[tuple[str, str], Document] = {}
@@ -145,7 +145,7 @@ def judge_bag(task: Task) -> Judged:
             told, found = _of_machine(task, namespace, fitting)
             figures |= found
             lasting &= told
-    return Judged(sha256, files, result_version(), facts, figures, lasting)
+    return BagResult(sha256, files, result_version(), facts, figures, lasting)
 
 
 def one_line(error: Exception) -> str:
@@ -154,7 +154,7 @@ def one_line(error: Exception) -> str:
     return ' '.join(text.split())
 
 
-def _tried(work: Callable[[], Document], task: Task) -> tuple[bool, Document]:
+def _tried(work: Callable[[], Document], task: BagTask) -> tuple[bool, Document]:
     """Return whether the outcome depends on the content alone, and the outcome.
 
     A sentence on what is wrong names the bag, and so comes with the names that stand in it.
@@ -167,7 +167,7 @@ def _tried(work: Callable[[], Document], task: Task) -> tuple[bool, Document]:
         return True, {'problem': one_line(error), **_place(task)}
 
 
-def _place(task: Task) -> Document:
+def _place(task: BagTask) -> Document:
     return {'path': task.path, 'name': task.name}
 
 
@@ -201,7 +201,7 @@ def bag_facts(path: Path) -> Document:
 
 
 def _of_machine(
-    task: Task, namespace: str, models: Sequence[FleetModel]
+    task: BagTask, namespace: str, models: Sequence[FleetModel]
 ) -> tuple[bool, dict[tuple[str, str], Document]]:
     """Judge the run of a machine in a bag, which is read once, with all models."""
     runs: list[ThermalRun] = []

@@ -50,7 +50,7 @@ class MachineBags:
 
 
 @dataclass(frozen=True)
-class OfMachine:
+class MachineResult:
     """Results of a machine.
 
     Parameters
@@ -116,12 +116,12 @@ def group(
 
 
 def each_machine(
-    work: Callable[[MachineBags], OfMachine],
+    work: Callable[[MachineBags], MachineResult],
     machines: Sequence[MachineBags],
     crew: Crew | None,
     tell: Tell,
-    keep: Callable[[OfMachine], None] = lambda found: None,
-) -> list[OfMachine]:
+    keep: Callable[[MachineResult], None] = lambda found: None,
+) -> list[MachineResult]:
     """Return what comes of machines, in their order.
 
     Parameters
@@ -137,7 +137,7 @@ def each_machine(
     keep : callable
         Takes what came of a machine, as soon as it is there.
     """
-    found: dict[str, OfMachine] = {}
+    found: dict[str, MachineResult] = {}
     tell(f'{len(machines)} machines', 0, len(machines))
     for piece, result in InFlight(work, crew).done(machines):
         if isinstance(result, Killed):
@@ -145,7 +145,7 @@ def each_machine(
                 f'{piece.machine}: its process was killed each time; if memory ran out, take '
                 'fewer workers or fewer runs'
             )
-            result = OfMachine(piece.machine, problems=(Problem(piece.machine, reason),))
+            result = MachineResult(piece.machine, problems=(Problem(piece.machine, reason),))
         keep(result)
         found[piece.machine] = result
         tell(f'{len(machines)} machines', len(found), len(machines))
@@ -155,12 +155,12 @@ def each_machine(
 @single_threaded
 def train_machine(
     piece: MachineBags, *, options: Mapping[str, Any], sensor_limits: Sequence[str] = ()
-) -> OfMachine:
+) -> MachineResult:
     """Train the model of a machine; options as in `train_model`, limits as in `read_run`.
 
     Returns
     -------
-    OfMachine
+    MachineResult
         `result`: `model`, the text of its file; `channel`, `default`, `held_out_rms_um` and
         `uncompensated_rms_um` by channel.
     """
@@ -171,7 +171,7 @@ def train_machine(
         except ValueError as error:
             return _failed(piece, runs, problems, error)
     if model is None:
-        return OfMachine(piece.machine, problems=tuple(problems))
+        return MachineResult(piece.machine, problems=tuple(problems))
     bare = model.candidates[UNCOMPENSATED].held_out_rms
     result = {
         'model': model.to_json(),
@@ -180,18 +180,18 @@ def train_machine(
         'held_out_rms_um': [1e6 * float(value) for value in model.held_out_rms],
         'uncompensated_rms_um': [1e6 * float(value) for value in bare],
     }
-    return OfMachine(piece.machine, _names(runs), result, tuple(problems))
+    return MachineResult(piece.machine, _names(runs), result, tuple(problems))
 
 
 @single_threaded
 def compare_machine(
     piece: MachineBags, *, options: Mapping[str, Any], sensor_limits: Sequence[str] = ()
-) -> OfMachine:
+) -> MachineResult:
     """Hold each run of a machine out in turn; options as in `judge`, limits as in `read_run`.
 
     Returns
     -------
-    OfMachine
+    MachineResult
         `result`: what `comparison_document` returns.
     """
     with one_at_a_time:
@@ -209,7 +209,7 @@ def compare_machine(
             except ThermalDataError as error:
                 problems.append(Problem(part.name, f'{part.name} held out: {one_line(error)}'))
     result = comparison_document(Comparison(tuple(held_out))) if held_out else None
-    return OfMachine(piece.machine, _names(runs), result, tuple(problems))
+    return MachineResult(piece.machine, _names(runs), result, tuple(problems))
 
 
 def _facts(piece: tuple[int, str]) -> Document:
@@ -242,9 +242,9 @@ def _runs(
 
 def _failed(
     piece: MachineBags, runs: Sequence[ThermalRun], problems: list[Problem], error: ValueError
-) -> OfMachine:
+) -> MachineResult:
     found = Problem(piece.machine, f'{piece.machine}: {one_line(error)}')
-    return OfMachine(piece.machine, _names(runs), None, (*problems, found))
+    return MachineResult(piece.machine, _names(runs), None, (*problems, found))
 
 
 def _names(runs: Sequence[ThermalRun]) -> tuple[str, ...]:

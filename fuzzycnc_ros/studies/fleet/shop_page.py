@@ -17,10 +17,10 @@ from fuzzycnc_ros.studies.fleet.condition import (
     FAILING,
     MONTH,
     STALE_RATIO,
-    Course,
-    SensorCourse,
+    MissingHistory,
+    ResidualHistory,
     ShopCondition,
-    Trend,
+    SlopeEstimate,
 )
 from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Rule, Series
 from fuzzycnc_ros.studies.page.drawing import AFTER, INK, LIMIT, MUTED, WARNING
@@ -206,7 +206,7 @@ def shop_document(condition: ShopCondition) -> dict[str, Any]:
     }
 
 
-def _drift_table(courses: Sequence[Course]) -> Table:
+def _drift_table(courses: Sequence[ResidualHistory]) -> Table:
     rows, warning = [], set()
     for number, item in enumerate(courses):
         rows.append(
@@ -246,7 +246,7 @@ def _drift_table(courses: Sequence[Course]) -> Table:
     )
 
 
-def _stale_table(courses: Sequence[Course]) -> Table:
+def _stale_table(courses: Sequence[ResidualHistory]) -> Table:
     rows, warning = [], set()
     for number, item in enumerate(courses):
         rows.append(
@@ -289,7 +289,7 @@ def _stale_table(courses: Sequence[Course]) -> Table:
     )
 
 
-def _sensor_table(sensors: Sequence[SensorCourse]) -> Table:
+def _sensor_table(sensors: Sequence[MissingHistory]) -> Table:
     rows, warning = [], set()
     for number, item in enumerate(sensors):
         rows.append(
@@ -334,7 +334,7 @@ def _unjudged_table(condition: ShopCondition) -> Table:
     return Table(title, columns, rows)
 
 
-def _drift_verdict(item: Course) -> str:
+def _drift_verdict(item: ResidualHistory) -> str:
     if isnan(item.trend.slope):
         return f'fewer than {BAGS_MIN} bags'
     if item.trend.rises:
@@ -362,7 +362,7 @@ def _figures(
     return [Figure(title, caption, chart)]
 
 
-def _residual_panel(item: Course, condition: ShopCondition) -> Panel:
+def _residual_panel(item: ResidualHistory, condition: ShopCondition) -> Panel:
     days = _days(item.begin, condition)
     series = [
         Series('with the model', item.rms, AFTER, kind='dots'),
@@ -379,7 +379,7 @@ def _residual_panel(item: Course, condition: ShopCondition) -> Panel:
     return Panel(days, axis, series, title=_title(item), rules=rules)
 
 
-def _domain_panel(item: Course, condition: ShopCondition) -> Panel:
+def _domain_panel(item: ResidualHistory, condition: ShopCondition) -> Panel:
     colour = WARNING if item.newest_in_domain < DOMAIN_MIN else AFTER
     return Panel(
         _days(item.begin, condition),
@@ -390,7 +390,7 @@ def _domain_panel(item: Course, condition: ShopCondition) -> Panel:
     )
 
 
-def _sensor_panel(item: SensorCourse, condition: ShopCondition) -> Panel:
+def _sensor_panel(item: MissingHistory, condition: ShopCondition) -> Panel:
     colour = LIMIT if item.fails else AFTER
     return Panel(
         _days(item.begin, condition),
@@ -400,16 +400,16 @@ def _sensor_panel(item: SensorCourse, condition: ShopCondition) -> Panel:
     )
 
 
-def _one_per_model(courses: Sequence[Course]) -> list[Course]:
+def _one_per_model(courses: Sequence[ResidualHistory]) -> list[ResidualHistory]:
     """Return the first course of each model: all channels share the domain."""
-    first: dict[tuple[str, str], Course] = {}
+    first: dict[tuple[str, str], ResidualHistory] = {}
     for item in courses:
         if len(item.rms):
             first.setdefault((item.machine, item.model), item)
     return list(first.values())
 
 
-def _title(item: Course) -> str:
+def _title(item: ResidualHistory) -> str:
     return f'{item.machine}, {item.model}, {item.channel}: {_drift_verdict(item)}'
 
 
@@ -456,7 +456,7 @@ def _signed(value: float, digits: int) -> str:
     return f'{value:+.{digits}f}' if isfinite(value) else '-'
 
 
-def _interval(found: Trend, digits: int) -> str:
+def _interval(found: SlopeEstimate, digits: int) -> str:
     if isnan(found.low):
         return '-'
     return f'{found.low:+.{digits}f} to {found.high:+.{digits}f}'

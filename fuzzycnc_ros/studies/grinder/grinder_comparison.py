@@ -53,7 +53,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Score:
+class ResidualSize:
     """Remaining thermal error: root mean square and largest absolute value [m]."""
 
     rms: float = field(metadata=shown_as('rms_um', 1e6))
@@ -72,7 +72,7 @@ class TrialResult:
         Names of the training runs.
     sensors : int
         Number of sensors.
-    scores : mapping of str to mapping of str to Score
+    scores : mapping of str to mapping of str to ResidualSize
         Model -> column, such as 'E2 Y' -> score; infinite where a prediction diverged.
     problems : mapping of str to tuple of str
         What a model's own checks found wrong, or why it could not be fitted at all; models
@@ -83,7 +83,7 @@ class TrialResult:
     title: str
     trained_on: tuple[str, ...]
     sensors: int
-    scores: Mapping[str, Mapping[str, Score]] = field(metadata=shown_as('models'))
+    scores: Mapping[str, Mapping[str, ResidualSize]] = field(metadata=shown_as('models'))
     problems: Mapping[str, tuple[str, ...]]
 
 
@@ -102,7 +102,7 @@ class GrinderComparison:
     seed: int
     trials: tuple[TrialResult, ...]
 
-    def score(self, trial: str, model: str, column: str) -> Score:
+    def score(self, trial: str, model: str, column: str) -> ResidualSize:
         """Return one score, such as `score('two_runs', 'hybrid_network', 'E2 Y')`.
 
         Raises
@@ -264,7 +264,7 @@ def _uncompensated(rise: Array) -> Array:
     return np.zeros((len(rise), len(GRINDER_AXES)))
 
 
-def _scores(trial: Trial, predict: Any) -> dict[str, Score]:
+def _scores(trial: Trial, predict: Any) -> dict[str, ResidualSize]:
     """Return the score of each column: every judged run, every axis."""
     scores = {}
     for heading, run in trial.judged.items():
@@ -274,7 +274,7 @@ def _scores(trial: Trial, predict: Any) -> dict[str, Score]:
         with np.errstate(over='ignore'):
             rms = np.sqrt(np.square(residual).mean(axis=0))
         for axis, value, largest in zip(run.axis, rms, np.abs(residual).max(axis=0), strict=True):
-            scores[f'{heading} {axis}'] = Score(float(value), float(largest))
+            scores[f'{heading} {axis}'] = ResidualSize(float(value), float(largest))
     return scores
 
 
@@ -311,7 +311,7 @@ def _table(result: TrialResult) -> Table:
     )
 
 
-def _figures(score: Score) -> str:
+def _figures(score: ResidualSize) -> str:
     """Return rms/max of a cell in micrometres."""
     if has_diverged(score.largest):
         return micrometres(score.largest)

@@ -33,7 +33,7 @@ from fuzzycnc_ros.simulation.controller.program import (
     turns,
     with_mode,
 )
-from fuzzycnc_ros.studies.programs.program_judge import Judged, LocalErrors, ProgramPath
+from fuzzycnc_ros.studies.programs.program_judge import LocalErrors, ProgramPath, ProgramResult
 from fuzzycnc_ros.studies.programs.split_program import check_same_path, split_program
 
 MODES = (61.0, 61.1, 64.0)
@@ -126,7 +126,7 @@ Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
-class Remedy:
+class ProgramRemedy:
     """Something to set, and what it does.
 
     Attributes
@@ -139,7 +139,7 @@ class Remedy:
         Path mode throughout; None for the program's own.
     program : str or None
         The program with other feeds or more blocks; None for the one that was given.
-    judged : Judged
+    judged : ProgramResult
         On the simulated controller.
     aim : float
         Largest contour error that was looked for there [m].
@@ -149,7 +149,7 @@ class Remedy:
     acceleration: tuple[float, float, float]
     mode: PathMode | None
     program: str | None
-    judged: Judged
+    judged: ProgramResult
     aim: float
 
     @property
@@ -157,7 +157,7 @@ class Remedy:
         """True if the simulated controller keeps the aim."""
         return self.judged.error <= self.aim
 
-    def sets_the_same(self, other: Remedy) -> bool:
+    def sets_the_same(self, other: ProgramRemedy) -> bool:
         """Return True if another remedy asks for the same settings."""
         return (self.acceleration, self.mode, self.program) == (
             other.acceleration, other.mode, other.program,
@@ -173,7 +173,7 @@ class Advice:
     tolerance, aim : float
         Largest contour error wanted, and that on the simulated controller, so that the real one
         keeps the tolerance [m].
-    remedies : tuple of Remedy
+    remedies : tuple of ProgramRemedy
         The first one is the program as it is.
     best : int
         Index of the fastest that keeps the aim, or of that with the least error.
@@ -181,11 +181,11 @@ class Advice:
 
     tolerance: float
     aim: float
-    remedies: tuple[Remedy, ...]
+    remedies: tuple[ProgramRemedy, ...]
     best: int
 
     @property
-    def chosen(self) -> Remedy:
+    def chosen(self) -> ProgramRemedy:
         """The remedy that is recommended."""
         return self.remedies[self.best]
 
@@ -230,8 +230,10 @@ class Adviser:
             raise ValueError(f'tolerance: expected more than 0 m but found {tolerance} m')
         self._program, self._tolerance, self._units = program, tolerance, units
         self._quickest = np.inf  # time of what keeps the aim so far [s]
-        self._steps: dict[str, Callable[[], Remedy | None]] = {}
-        self._tried: dict[tuple[float, PathMode | None], Judged] = {}  # with the program's feeds
+        self._steps: dict[str, Callable[[], ProgramRemedy | None]] = {}
+        self._tried: dict[
+            tuple[float, PathMode | None], ProgramResult
+        ] = {}  # with the program's feeds
         self._likely = 2  # index of the path mode that may be best: the least rounding
         self._limits, self._machine, self._settings = limits, machine, settings
         self._moves = program_moves(program.blocks, before)
@@ -268,7 +270,7 @@ class Adviser:
         """
         if corners not in CORNERS:
             raise ValueError(f'corners: expected {", ".join(CORNERS)} but found {corners}')
-        steps: list[Callable[[], Remedy | None]] = [
+        steps: list[Callable[[], ProgramRemedy | None]] = [
             self._as_it_is, self._by_constant, self._slower, self._other_mode, self._slower_mode,
             self._scheduled, self._scheduled_mix,
         ]  # fmt: skip
@@ -276,7 +278,7 @@ class Adviser:
             steps.append(self._refined)
         if corners == 'split':
             steps.append(self._split)
-        found: list[Remedy] = []
+        found: list[ProgramRemedy] = []
         for number, step in enumerate(steps):
             progress(step.__name__.strip('_').replace('_', ' '), number, len(steps))
             remedy = step()
@@ -286,19 +288,19 @@ class Adviser:
         best = best_of([one.judged for one in found], self._aim)
         return Advice(self._tolerance, self._aim, tuple(found), best)
 
-    def lower(self, remedy: Remedy, error: float) -> Remedy | None:
+    def lower(self, remedy: ProgramRemedy, error: float) -> ProgramRemedy | None:
         """Look again for a remedy that left more than the tolerance on the real controller.
 
         Parameters
         ----------
-        remedy : Remedy
+        remedy : ProgramRemedy
             One of those that were found.
         error : float
             What it left there [m].
 
         Returns
         -------
-        Remedy or None
+        ProgramRemedy or None
             For an aim that is as much lower; None if that changes nothing.
         """
         usual = self._aim
@@ -309,7 +311,7 @@ class Adviser:
             self._aim = usual
         return None if found is None or found.sets_the_same(remedy) else found
 
-    def _run(self, moves: ProgramMoves, share: float, mode: PathMode | None) -> Judged:
+    def _run(self, moves: ProgramMoves, share: float, mode: PathMode | None) -> ProgramResult:
         """Judge moves with a share of the acceleration and a path mode."""
         return self._path.run(self._moded(moves, mode), self._slowed(share), self._machine)
 
@@ -323,7 +325,7 @@ class Adviser:
 
     def _try(
         self, moves: ProgramMoves, share: float, mode: PathMode | None, longest: float = np.inf
-    ) -> Judged | None:
+    ) -> ProgramResult | None:
         """Judge moves without the deviation of the commands, which takes a third of the time.
 
         None if they take longer than anybody wants.
@@ -343,18 +345,18 @@ class Adviser:
         return replace(self._limits, acceleration=(x, y, z))
 
     def _remedy(
-        self, name: str, share: float, mode: PathMode | None, judged: Judged,
+        self, name: str, share: float, mode: PathMode | None, judged: ProgramResult,
         program: str | None = None,
-    ) -> Remedy:  # fmt: skip
+    ) -> ProgramRemedy:  # fmt: skip
         if judged.error <= self._aim:
             self._quickest = min(self._quickest, judged.duration)
         rise = self._slowed(share).acceleration
-        return Remedy(name, rise, mode, program, judged, self._aim)
+        return ProgramRemedy(name, rise, mode, program, judged, self._aim)
 
-    def _as_it_is(self) -> Remedy:
+    def _as_it_is(self) -> ProgramRemedy:
         return self._remedy('as it is', 1.0, None, self._run(self._moves, 1.0, None))
 
-    def _by_constant(self) -> Remedy | None:
+    def _by_constant(self) -> ProgramRemedy | None:
         """MAX_ACCELERATION = tolerance / C."""
         share = self._aim / self._machine.contour_constant / max(self._limits.acceleration)
         if share >= 1.0:
@@ -362,12 +364,12 @@ class Adviser:
         judged = self._run(self._moves, share, None)
         return self._remedy('acceleration of tolerance / C', share, None, judged)
 
-    def _slower(self) -> Remedy:
+    def _slower(self) -> ProgramRemedy:
         _, share = self._fastest_of([(self._moves, None)])
         judged = self._run(self._moves, share, None)
         return self._remedy('lower acceleration', share, None, judged)
 
-    def _other_mode(self) -> Remedy:
+    def _other_mode(self) -> ProgramRemedy:
         tried = [(mode, self._try(self._moves, 1.0, mode)) for mode in self._modes]
         mode, _ = min(
             ((mode, judged) for mode, judged in tried if judged is not None),
@@ -375,18 +377,18 @@ class Adviser:
         )
         return self._remedy('path mode', 1.0, mode, self._run(self._moves, 1.0, mode))
 
-    def _slower_mode(self) -> Remedy:
+    def _slower_mode(self) -> ProgramRemedy:
         number, share = self._fastest_of([(self._moves, mode) for mode in self._modes])
         mode, self._likely = self._modes[number], number
         judged = self._run(self._moves, share, mode)
         return self._remedy('lower acceleration, path mode', share, mode, judged)
 
-    def _scheduled(self) -> Remedy:
+    def _scheduled(self) -> ProgramRemedy:
         moves, text = self._schedule(self._settings)
         judged = self._run(moves, 1.0, None)
         return self._remedy('scheduled feeds', 1.0, None, judged, text)
 
-    def _scheduled_mix(self) -> Remedy:
+    def _scheduled_mix(self) -> ProgramRemedy:
         found = [
             self._schedule(replace(self._settings, blend=mode.rounding)) for mode in self._modes
         ]
@@ -397,10 +399,10 @@ class Adviser:
         name = 'scheduled feeds, lower acceleration, path mode'
         return self._remedy(name, share, mode, judged, text)
 
-    def _refined(self) -> Remedy:
+    def _refined(self) -> ProgramRemedy:
         return self._refine('feeds refined for corners', self._program)
 
-    def _split(self) -> Remedy:
+    def _split(self) -> ProgramRemedy:
         moves = with_mode(self._moves, self._refining)
         cuts = cuts_near_errors(self._path, moves, self._aim, self._limits, self._machine)
         text = split_program(self._program, cuts)
@@ -408,12 +410,12 @@ class Adviser:
         check_same_path(self._program, program)
         return self._refine('blocks cut near corners, feeds refined', program)
 
-    def _refine(self, name: str, program: Program) -> Remedy:
+    def _refine(self, name: str, program: Program) -> ProgramRemedy:
         """Return a program with the feeds that were found best, with the best acceleration."""
         mode = self._refining
         moves = with_mode(program_moves(program.blocks), mode)
         path = ProgramPath(moves)
-        found: list[Remedy] = []
+        found: list[ProgramRemedy] = []
         for share in REFINED:
             limits = self._slowed(share)
             for aim in (1.0, 0.9):
@@ -477,7 +479,7 @@ class Adviser:
 
     def _ladder(
         self, moves: ProgramMoves, mode: PathMode | None, longest: float
-    ) -> Iterator[tuple[float, Judged]]:
+    ) -> Iterator[tuple[float, ProgramResult]]:
         """Look for the largest acceleration that keeps the aim, of a ladder and in between.
 
         Time rises as the acceleration falls, so that below one that takes longer than wanted
@@ -485,7 +487,7 @@ class Adviser:
         """
         kept = False
 
-        def known(share: float) -> Iterator[tuple[float, Judged]]:
+        def known(share: float) -> Iterator[tuple[float, ProgramResult]]:
             nonlocal kept
             judged = self._try(moves, share, mode, longest)
             kept = judged is None or judged.error <= self._aim
@@ -507,19 +509,19 @@ class Adviser:
                 yield from known(between)
                 beyond, within = (beyond, between) if kept else (between, within)
 
-    def _order(self, judged: Judged) -> tuple[bool, float]:
+    def _order(self, judged: ProgramResult) -> tuple[bool, float]:
         kept = judged.error <= self._aim
         return not kept, judged.duration if kept else judged.error
 
 
-def best_of(judged: Sequence[Judged], tolerance: float) -> int:
+def best_of(judged: Sequence[ProgramResult], tolerance: float) -> int:
     """Return which is the fastest that keeps a tolerance, or has the least error if none does.
 
     Of those that take no more than `NOTICED` longer than the fastest, the first one.
 
     Parameters
     ----------
-    judged : sequence of Judged
+    judged : sequence of ProgramResult
         The cheapest remedies first.
     tolerance : float
         Largest contour error wanted [m].
@@ -532,8 +534,8 @@ def best_of(judged: Sequence[Judged], tolerance: float) -> int:
 
 
 def with_lower_aims(
-    advice: Advice, adviser: Adviser, run: Callable[[Remedy, int], Judged]
-) -> tuple[Advice, list[Judged]]:
+    advice: Advice, adviser: Adviser, run: Callable[[ProgramRemedy, int], ProgramResult]
+) -> tuple[Advice, list[ProgramResult]]:
     """Run remedies on the real controller, and those that leave too much with a lower aim again.
 
     What could be the fastest that keeps the tolerance gets up to `AGAIN` corrections.
@@ -551,7 +553,7 @@ def with_lower_aims(
     -------
     Advice
         With the remedies as they ran last.
-    list of Judged
+    list of ProgramResult
         What they did on the real controller.
     """
     remedies = list(advice.remedies)
@@ -578,14 +580,14 @@ def with_lower_aims(
         runs += 1
 
 
-def advised_program(program: Program, remedy: Remedy, units: str = 'mm') -> str:
+def advised_program(program: Program, remedy: ProgramRemedy, units: str = 'mm') -> str:
     """Return the program that a remedy asks for, path mode included.
 
     Parameters
     ----------
     program : Program
         As it was given.
-    remedy : Remedy
+    remedy : ProgramRemedy
         What is recommended.
     units : {'mm', 'inch'}
         Unit before the program says G20 or G21.
@@ -620,7 +622,7 @@ BENT = float(np.radians(3.0))
 
 
 @dataclass(frozen=True, eq=False)
-class Refined:
+class RefinedFeeds:
     """Feeds that were found for a program.
 
     Attributes
@@ -643,7 +645,7 @@ def refine(
     limits: ControllerLimits,
     machine: ContouringConfig,
     longest: float = np.inf,
-) -> Refined:
+) -> RefinedFeeds:
     """Lower the feed of each block until the contour error keeps a tolerance, and not further.
 
     In each round the program is simulated; feeds fall where the error that they cause is too
@@ -664,18 +666,18 @@ def refine(
 
     Returns
     -------
-    Refined
+    RefinedFeeds
         The fastest that keeps the tolerance, or else that with the least error.
     """
     plain = moves.moves
     own = np.where(plain.rapid, np.inf, plain.feed)
     feed = plain.feed.copy()
-    best: Refined | None = None
+    best: RefinedFeeds | None = None
     for number in range(ROUNDS):
         tried = replace(moves, moves=replace(plain, feed=feed))
         found = path.errors(simulate(tried, limits), machine)
         judged = found.judged
-        now = Refined(feed, judged.duration, judged.error)
+        now = RefinedFeeds(feed, judged.duration, judged.error)
         if best is None or _rank(now, tolerance) < _rank(best, tolerance):
             best = now
         if judged.duration > longest:
@@ -694,7 +696,7 @@ def refine(
     return best
 
 
-def _rank(one: Refined, tolerance: float) -> tuple[bool, float]:
+def _rank(one: RefinedFeeds, tolerance: float) -> tuple[bool, float]:
     kept = one.error <= tolerance
     return not kept, one.duration if kept else one.error
 

@@ -18,7 +18,7 @@ from fuzzycnc_ros.studies.page.html import Figure, Page, Remark, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.studies.programs.program_judge import Judged
+    from fuzzycnc_ros.studies.programs.program_judge import ProgramResult
 
 MICRO, MILLI = 1e6, 1e3
 
@@ -35,20 +35,20 @@ class AdviceRow:
         Of X, Y and Z [m/s^2].
     mode : str
         Path mode in words of a program.
-    simulated : Judged
+    simulated : ProgramResult
         On the simulated controller.
-    measured : Judged or None
+    measured : ProgramResult or None
         On LinuxCNC, where it ran.
     """
 
     name: str
     acceleration: tuple[float, float, float]
     mode: str
-    simulated: Judged
-    measured: Judged | None = field(default=None, metadata=shown_as('linuxcnc'))
+    simulated: ProgramResult
+    measured: ProgramResult | None = field(default=None, metadata=shown_as('linuxcnc'))
 
     @property
-    def judged(self) -> Judged:
+    def judged(self) -> ProgramResult:
         """Decisive result: LinuxCNC where it ran, else the simulated controller."""
         return self.measured or self.simulated
 
@@ -156,7 +156,7 @@ def _rise(acceleration: tuple[float, float, float]) -> str:
     return '/'.join(dict.fromkeys(f'{MILLI * value:.0f}' for value in acceleration))
 
 
-def _triple(one: Judged | None) -> list[str]:
+def _triple(one: ProgramResult | None) -> list[str]:
     if one is None:
         return ['-', '-', '-']
     return [f'{one.duration:.2f}', _micro(one.error), _micro(one.rms)]

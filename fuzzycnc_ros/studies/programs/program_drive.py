@@ -21,10 +21,10 @@ from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Program
 from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
 from fuzzycnc_ros.core.feedrate.path.nodes import own_curvature
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
-from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantFeed
 from fuzzycnc_ros.core.feedrate.schedule.program_run import ScheduledPath
 from fuzzycnc_ros.core.feedrate.schedule.program_schedule import schedule_program
 from fuzzycnc_ros.core.feedrate.schedule.program_settings import AXIS_COUNT, ProgramSettings
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import ConstantFeed
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
 from fuzzycnc_ros.simulation.controller.program import (
@@ -35,7 +35,7 @@ from fuzzycnc_ros.simulation.controller.program import (
 )
 from fuzzycnc_ros.simulation.motion.contour import WINDOW_LENGTH, WINDOW_TIME, Contour
 from fuzzycnc_ros.simulation.motion.contouring_axes import ContouringAxes
-from fuzzycnc_ros.studies.programs.program_judge import Judged, ProgramPath
+from fuzzycnc_ros.studies.programs.program_judge import ProgramPath, ProgramResult
 
 METHODS = tuple(
     name
@@ -344,7 +344,7 @@ def drive_words(
     blocks: Sequence[tuple[Block, float | None]],
     settings: ProgramSettings,
     machine: ContouringConfig,
-) -> tuple[Judged | None, Judged | None]:
+) -> tuple[ProgramResult | None, ProgramResult | None]:
     """Drive lines of a program as they were, and with their chosen feeds.
 
     Parameters
@@ -358,7 +358,7 @@ def drive_words(
 
     Returns
     -------
-    tuple of Judged or None
+    tuple of ProgramResult or None
         As they were and with the chosen feeds; None where nothing moves or it takes too long.
 
     Notes

@@ -51,7 +51,7 @@ _PEAKS = 32
 
 
 @dataclass(frozen=True)
-class Judged:
+class ProgramResult:
     """A program on a controller.
 
     Attributes
@@ -87,18 +87,18 @@ class LocalErrors:
     error, place, speed : ndarray, shape (n,)
         Distance of the axes from the path while cutting, else 0 [m], way along it to the nearest
         point [m], and the speed that was commanded there [m/s].
-    judged : Judged
+    judged : ProgramResult
         Their summary.
     """
 
     error: Array
     place: Array
     speed: Array
-    judged: Judged
+    judged: ProgramResult
 
 
 @dataclass(frozen=True, eq=False)
-class _Course:
+class _ErrorSamples:
     """Errors at some samples of a path.
 
     How many samples each stands for, errors of the axes and of the commands, whether a corner is
@@ -128,7 +128,7 @@ class ProgramPath:
         self._runs = moves.runs()
         self._contours = [_contour(run) for run in self._runs]
 
-    def judge(self, commanded: Sequence[Commanded], machine: ContouringConfig) -> Judged:
+    def judge(self, commanded: Sequence[Commanded], machine: ContouringConfig) -> ProgramResult:
         """Judge what was commanded for each path without a gap.
 
         Parameters
@@ -151,7 +151,7 @@ class ProgramPath:
 
     def _courses(
         self, commanded: Sequence[Commanded], machine: ContouringConfig, asked: bool
-    ) -> _Course:
+    ) -> _ErrorSamples:
         axes = replace(machine, velocity_max=10.0, acceleration_max=1000.0)
         courses = [
             _course(run, contour, one, axes, asked)
@@ -162,20 +162,20 @@ class ProgramPath:
             replace(course, move=course.move + low)
             for course, low in zip(courses, first, strict=False)
         ]
-        return _Course(
+        return _ErrorSamples(
             *(
                 np.concatenate([getattr(course, item.name) for course in courses])
-                for item in fields(_Course)
+                for item in fields(_ErrorSamples)
             )
         )
 
-    def _figures(self, course: _Course, commanded: Sequence[Commanded]) -> Judged:
+    def _figures(self, course: _ErrorSamples, commanded: Sequence[Commanded]) -> ProgramResult:
         weight, error, corner, move = course.weight, course.error, course.corner, course.move
         deviation, cutting = course.deviation, ~self.program.moves.rapid[move]
         if not cutting.any():
-            return Judged(_time(commanded), 0.0, 0.0, np.nan, np.nan, 0.0, 0)
+            return ProgramResult(_time(commanded), 0.0, 0.0, np.nan, np.nan, 0.0, 0)
         worst = int(np.argmax(np.where(cutting, error, -1.0)))
-        return Judged(
+        return ProgramResult(
             duration=_time(commanded),
             error=float(error[worst]),
             rms=float(np.sqrt(np.average(error[cutting] ** 2, weights=weight[cutting]))),
@@ -214,7 +214,7 @@ class ProgramPath:
 
     def run(
         self, moves: ProgramMoves, limits: ControllerLimits, machine: ContouringConfig
-    ) -> Judged:
+    ) -> ProgramResult:
         """Simulate a program of the same path on a controller, and judge it.
 
         Parameters
@@ -234,7 +234,7 @@ class ProgramPath:
         moves: ProgramMoves,
         limits: ControllerLimits,
         machine: ContouringConfig,
-    ) -> Judged | None:
+    ) -> ProgramResult | None:
         """Do what `run` does, without deviations, for a program that takes a time at most.
 
         None if it takes longer than that [s]; to measure errors takes most of the time.
@@ -255,7 +255,7 @@ def _largest(error: Array) -> float:
 
 def _course(
     run: Moves, contour: Contour, one: Commanded, machine: ContouringConfig, asked: bool
-) -> _Course:
+) -> _ErrorSamples:
     """Follow the commands of a path, and measure the axes by it; if asked, the commands too."""
     period = machine.interpolation_period
     out = round(machine.run_out / period)
@@ -295,7 +295,7 @@ def _course(
     since = kept - passed[np.maximum(last, 0)]
     coming = np.append(passed, np.inf)[last + 1] - kept
     near = (since < AFTER_CORNER * machine.delay / period) | (coming < machine.delay / period)
-    return _Course(
+    return _ErrorSamples(
         np.diff(kept, append=len(place)).astype(float),
         distance,
         deviation,

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.schedule.program_schedule import ProgramTimes
     from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
     from fuzzycnc_ros.studies.programs.program_drive import Drive
-    from fuzzycnc_ros.studies.programs.program_judge import Judged
+    from fuzzycnc_ros.studies.programs.program_judge import ProgramResult
     from fuzzycnc_ros.studies.programs.schedule_trace import PathTrace
 
 MINUTE = 60.0
@@ -64,7 +64,7 @@ class ScheduleFigures:
         What was passed through.
     added, changed : int
         Feed words that were added, and that were there and changed.
-    driven_before, driven : Judged or None
+    driven_before, driven : ProgramResult or None
         The first lines on the simulated controller, as they were and as they are; None where
         they were not driven.
     stretch : str
@@ -81,8 +81,8 @@ class ScheduleFigures:
     notes: Sequence[Note]
     added: int
     changed: int
-    driven_before: Judged | None = None
-    driven: Judged | None = None
+    driven_before: ProgramResult | None = None
+    driven: ProgramResult | None = None
     stretch: str = 'the whole program'
     corners: Sequence[float] = ()
 

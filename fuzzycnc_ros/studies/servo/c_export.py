@@ -17,8 +17,8 @@ from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.servo import feedback_watch as watching
 from fuzzycnc_ros.core.servo import growing_swing as swinging
 from fuzzycnc_ros.core.servo import variable_universe
-from fuzzycnc_ros.core.servo.baselines import CascadeController, PidController
 from fuzzycnc_ros.core.servo.controller import AxisController
+from fuzzycnc_ros.core.servo.pid_cascade import CascadeController, PidController
 from fuzzycnc_ros.core.servo.stick_slip import StickSlipParams
 from fuzzycnc_ros.core.servo.variable_universe import (
     ContractedSurface,

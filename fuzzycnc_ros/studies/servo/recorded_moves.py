@@ -61,7 +61,7 @@ _LATE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Moves:
+class RecordedMoves:
     """Recorded moves of an axis, n rows a period apart but for gaps.
 
     Attributes
@@ -84,7 +84,9 @@ class Moves:
         return [slice(first, last) for first, last in pairwise(edges) if last - first >= ROWS_MIN]
 
 
-def records_of(moves: Moves, controller: VariableUniverseController, source: Path) -> Array:
+def records_of(
+    moves: RecordedMoves, controller: VariableUniverseController, source: Path
+) -> Array:
     """Return what rules are learnt from.
 
     Raises
@@ -121,7 +123,9 @@ def records_of(moves: Moves, controller: VariableUniverseController, source: Pat
     return np.concatenate(found)
 
 
-def _check_gain(moves: Moves, controller: VariableUniverseController, source: Path) -> None:
+def _check_gain(
+    moves: RecordedMoves, controller: VariableUniverseController, source: Path
+) -> None:
     """Refuse lengths in a wrong unit and an axis that is driven the other way."""
     period, gain, lag = controller.period, controller.axis.gain, velocity_lag(controller.axis)
     keep = exp(-period / lag)
@@ -152,7 +156,7 @@ def _changes(position: Array) -> Array:
     return np.asarray(ways[BLOCK:] - ways[:-BLOCK])
 
 
-def read_csv(path: Path, metres: float) -> Moves:
+def read_csv(path: Path, metres: float) -> RecordedMoves:
     """Read moves from a CSV file whose lengths are multiples of so many metres.
 
     Raises
@@ -166,7 +170,7 @@ def read_csv(path: Path, metres: float) -> Moves:
             f'{path}: duty: expected shares of the drive from -1 to 1 but found '
             f'{duty[np.abs(duty).argmax()]:g}'
         )
-    return Moves(time, metres * reference, metres * position, duty)
+    return RecordedMoves(time, metres * reference, metres * position, duty)
 
 
 NEEDED: dict[str, type[Record]] = {
@@ -193,7 +197,7 @@ Row = tuple[float, float, float, float]
 _DRIVEN = (ServoStatus.RESTING, ServoStatus.MOVING)
 
 
-def read_bag(path: Path, axis: str | None) -> Moves:
+def read_bag(path: Path, axis: str | None) -> RecordedMoves:
     """Read the moves of an axis from a bag of a run with `servo_controller`.
 
     Raises
@@ -206,7 +210,7 @@ def read_bag(path: Path, axis: str | None) -> Moves:
     seen = _records(path)
     states, commands, servos = ({record.stamp: record for record in seen[name]} for name in NEEDED)
     chosen = _axis(path, axis, {name for one in commands.values() for name in one.axis})
-    course = _Course(chosen, seen, _configuration(path, seen))
+    course = _ReferenceBuilder(chosen, seen, _configuration(path, seen))
     rows: list[Row] = []
     for stamp in sorted(states):
         position = _of(states[stamp], 'position', chosen)
@@ -219,10 +223,10 @@ def read_bag(path: Path, axis: str | None) -> Moves:
             f'{path}: expected moves of the axis {chosen} that were commanded by '
             'position_command and answered by axis_command but found none'
         )
-    return Moves(*np.array(good).T)
+    return RecordedMoves(*np.array(good).T)
 
 
-class _Course:
+class _ReferenceBuilder:
     """Reference of an axis, from its commands and its controller's reports."""
 
     def __init__(

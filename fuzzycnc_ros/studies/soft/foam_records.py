@@ -35,7 +35,7 @@ SECOND = 1e9
 
 
 @dataclass
-class Recordings:
+class StitchRecordings:
     """Paths in bags, and their stitches.
 
     Attributes
@@ -50,7 +50,7 @@ class Recordings:
     left_out: Counter[str] = field(default_factory=Counter)
 
 
-def read_recordings(bags: Sequence[Path]) -> Recordings:
+def read_recordings(bags: Sequence[Path]) -> StitchRecordings:
     """Read the stitched paths of bags.
 
     Raises
@@ -60,7 +60,7 @@ def read_recordings(bags: Sequence[Path]) -> Recordings:
     ValueError
         If a record contradicts itself, or no path was stitched to its end.
     """
-    found = Recordings()
+    found = StitchRecordings()
     for bag in bags:
         before = len(found.paths)
         _read_bag(bag, found)
@@ -72,7 +72,7 @@ def read_recordings(bags: Sequence[Path]) -> Recordings:
     return found
 
 
-def _read_bag(bag: Path, found: Recordings) -> None:
+def _read_bag(bag: Path, found: StitchRecordings) -> None:
     from fuzzycnc_ros.bags.reader import BagReader
     from fuzzycnc_ros.bags.runs import find_topic
     from fuzzycnc_ros.runtime.convert import decode
@@ -109,7 +109,7 @@ def _read_bag(bag: Path, found: Recordings) -> None:
 
 
 def _add(
-    found: Recordings,
+    found: StitchRecordings,
     bag: Path,
     path: CompensatedPath,
     stitches: StitchedPath,

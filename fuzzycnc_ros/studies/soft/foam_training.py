@@ -112,7 +112,7 @@ class FoamTraining:
 
 
 @dataclass(frozen=True)
-class Rival:
+class ComparedModel:
     """A model to compare.
 
     Parameters
@@ -181,7 +181,7 @@ def train_model(
     settings: Mapping[str, Any],
     method: str = AUTO,
     *,
-    others: Sequence[Rival] = (),
+    others: Sequence[ComparedModel] = (),
     progress: Tell = lambda text, done, total: None,
 ) -> TrainedModel:
     """Find outliers, hold samples out in turn, choose a model, and train it on all that remain.
@@ -197,7 +197,7 @@ def train_model(
         Settings of the network, as of `TSFuzzyNetwork`.
     method : str
         Of `METHODS`, or `AUTO`.
-    others : sequence of Rival
+    others : sequence of ComparedModel
         Models that are judged beside them, and never chosen.
     progress : callable
         Told what is going on, steps done and in all.
@@ -226,7 +226,7 @@ def train_model(
     if few:  # for a rule with a sample of its own, held out in turn
         compared, others = [name for name in compared if name != 'network'], ()
     rivals = [
-        Rival(named[key], _fitted(trainers[key]))
+        ComparedModel(named[key], _fitted(trainers[key]))
         if key in trainers
         else network(named[key], **settings)
         for key in compared
@@ -317,16 +317,16 @@ def _outlier_lines(samples: Samples, out: NDArray[np.bool_]) -> list[str]:
     ]
 
 
-def network(label: str, **settings: Any) -> Rival:
+def network(label: str, **settings: Any) -> ComparedModel:
     """Return the T-S fuzzy neural network with settings of `TSFuzzyNetwork`."""
 
     def train(x: Array, s: Array, groups: NDArray[np.int64]) -> Predictor:
         return TSFuzzyNetwork(**settings).fit(x, s, groups).predict
 
-    return Rival(label, train)
+    return ComparedModel(label, train)
 
 
-def baselines(features: str, seed: int = 0) -> tuple[Rival, ...]:
+def baselines(features: str, seed: int = 0) -> tuple[ComparedModel, ...]:
     """Return plain regressors on a feature set, scaled inputs and outputs.
 
     Parameters
@@ -360,7 +360,9 @@ def baselines(features: str, seed: int = 0) -> tuple[Rival, ...]:
             GradientBoostingRegressor(n_estimators=300, random_state=seed)
         ),
     }
-    return tuple(Rival(label, plain_regressor(features, make)) for label, make in makers.items())
+    return tuple(
+        ComparedModel(label, plain_regressor(features, make)) for label, make in makers.items()
+    )
 
 
 def plain_regressor(features: str, make: Callable[[int], Any]) -> Trainer:
@@ -432,7 +434,7 @@ def judge_training(
     x: Array,
     s: Array,
     groups: NDArray[np.int64],
-    rivals: Sequence[Rival],
+    rivals: Sequence[ComparedModel],
     *,
     folds: int = FOLDS,
     seed: int = 0,
@@ -448,7 +450,7 @@ def judge_training(
         Compensations that were needed [mm per 50 mm].
     groups : ndarray of int, shape (k,)
         Groups that stay together.
-    rivals : sequence of Rival
+    rivals : sequence of ComparedModel
         Models, that in use first.
     folds, seed : int
         Parts, and seed of their draw.

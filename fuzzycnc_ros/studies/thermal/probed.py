@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.components.thermal.predictor_stream import Probe, ProbeSource
+from fuzzycnc_ros.components.thermal.predictor_stream import ProbedError, ProbeSource
 from fuzzycnc_ros.components.thermal.probe_learning import ProbeLearning
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.arrays import Array
@@ -194,7 +194,7 @@ class _Track:
             self.predicted[name] = np.full_like(alone, np.nan)
         self.deviation = np.full_like(alone, np.nan)
 
-    def follow(self, samples: Iterator[tuple[Stamp, tuple[Probe, ...]]]) -> None:
+    def follow(self, samples: Iterator[tuple[Stamp, tuple[ProbedError, ...]]]) -> None:
         """Predict each sample, then take the probes that came with it."""
         held = np.full(len(self._channel), np.nan)
         for row, (stamp, probes) in enumerate(samples):
@@ -206,7 +206,7 @@ class _Track:
                 held = np.where(np.isfinite(error), error, held)
                 self.probes += np.isfinite(error)
 
-    def _learn(self, row: int, stamp: Stamp, probes: tuple[Probe, ...]) -> None:
+    def _learn(self, row: int, stamp: Stamp, probes: tuple[ProbedError, ...]) -> None:
         """Predict a sample from the probes before it."""
         drives = {name: float(values[row]) for name, values in self._drives.items()}
         self.learning.step(self._rise[row], float(self._speed[row]), stamp, drives)
@@ -221,7 +221,7 @@ class _Track:
 
 def _probes(
     run: ThermalRun, even: ThermalRun, every: float, usable: NDArray[np.bool_]
-) -> Iterator[tuple[Stamp, tuple[Probe, ...]]]:
+) -> Iterator[tuple[Stamp, tuple[ProbedError, ...]]]:
     """Yield the stamp of each sample [ns] and the probes that come with it.
 
     Only displacements that are `usable`, shape (rows of the run,), are offered as probes.

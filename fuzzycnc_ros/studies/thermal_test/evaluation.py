@@ -35,7 +35,7 @@ COMBINED = 'combined'
 """Name of the drift of all axes together."""
 
 
-class Found(NamedTuple):
+class MeasuredValue(NamedTuple):
     """A value in SI, or why there is none."""
 
     value: float
@@ -48,18 +48,18 @@ class Drift:
 
     Parameters
     ----------
-    first_hour, whole : Found
+    first_hour, whole : MeasuredValue
         Its range in the first hour and in the whole phase [m, rad].
-    change : Found
+    change : MeasuredValue
         Its last value less its first [m, rad].
-    rise_time : Found
+    rise_time : MeasuredValue
         Time from the beginning of the phase to 90 % of the change [s].
     """
 
-    first_hour: Found
-    whole: Found
-    change: Found
-    rise_time: Found
+    first_hour: MeasuredValue
+    whole: MeasuredValue
+    change: MeasuredValue
+    rise_time: MeasuredValue
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,7 @@ def judge(
     return Drift(
         first_hour,
         whole,
-        Found(change),
+        MeasuredValue(change),
         _rise_time(time - phase.start, course, max(resolution, NOISE_MARGIN * noise(course))),
     )
 
@@ -213,38 +213,38 @@ def _inside(time: Floats, phase: Phase) -> NDArray[np.bool_]:
 
 def _range(
     recording: TestRecording, values: Floats, start: float, end: float, phase: Phase
-) -> Found:
+) -> MeasuredValue:
     """Return the range of a quantity within a stretch of a phase, or why it has none."""
     spacing = recording.spacing
     if end > phase.end + LATE * spacing:
-        return Found(nan, f'too short: {phase.duration / 60.0:.3g} min')
+        return MeasuredValue(nan, f'too short: {phase.duration / 60.0:.3g} min')
     end = min(end, phase.end)
     rows = _inside(recording.time, phase) & (recording.time <= end) & np.isfinite(values)
     count = int(rows.sum())
     if count < 2:
-        return Found(nan, 'one sample' if count else 'not known')
+        return MeasuredValue(nan, 'one sample' if count else 'not known')
     time = recording.time[rows]
     edges = np.concatenate([[max(start, 0.0)], time, [end]])
     gap = float(np.diff(edges).max())
     if start < 0.0:
         gap = max(gap, -start)
     if gap > max((LATE + 1.0) * spacing, GAP_SHARE * (end - start)):
-        return Found(nan, f'gap of {gap / 60.0:.3g} min')
-    return Found(float(np.ptp(values[rows])))
+        return MeasuredValue(nan, f'gap of {gap / 60.0:.3g} min')
+    return MeasuredValue(float(np.ptp(values[rows])))
 
 
-def _rise_time(time: Floats, values: Floats, least: float) -> Found:
+def _rise_time(time: Floats, values: Floats, least: float) -> MeasuredValue:
     """Return when a course first reaches 90 % of its change [s], between samples by a line."""
     if len(values) < 5:
-        return Found(nan, 'too short: few samples')
+        return MeasuredValue(nan, 'too short: few samples')
     change = values[-1] - values[0]
     if abs(change) <= least:
-        return Found(nan, 'no change')
+        return MeasuredValue(nan, 'no change')
     share = (values - values[0]) / change
     row = int(np.argmax(share >= RISE))
     before, after = share[row - 1], share[row]
     part = (RISE - before) / (after - before)
-    return Found(float(time[row - 1] + part * (time[row] - time[row - 1])))
+    return MeasuredValue(float(time[row - 1] + part * (time[row] - time[row - 1])))
 
 
 def _combined(
@@ -256,7 +256,7 @@ def _combined(
     distance = np.full(len(columns), nan)
     if known.any():
         distance[known] = np.linalg.norm(columns[known] - columns[known][0], axis=1)
-    none = Found(nan)
+    none = MeasuredValue(nan)
     # It is zero at first, so that its range is its largest value.
     return Drift(
         _range(recording, distance, phase.start, phase.start + HOUR, phase),

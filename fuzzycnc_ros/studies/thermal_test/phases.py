@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.bags.errors import RunError
-from fuzzycnc_ros.studies.thermal_test.recording import Mark, TestRecording
+from fuzzycnc_ros.studies.thermal_test.recording import PhaseMark, TestRecording
 
 KINDS = ('environment', 'spindle', 'axis', 'cooling', 'other')
 """Kinds of phases."""
@@ -273,7 +273,7 @@ def _cut(phase: Phase, recording: TestRecording) -> Phase:
     return replace(phase, end=min(phase.end, last))
 
 
-def _marked(marks: Sequence[Mark], last: float) -> tuple[Phase, ...]:
+def _marked(marks: Sequence[PhaseMark], last: float) -> tuple[Phase, ...]:
     """Return the phases that marks begin."""
     ends = [mark.time for mark in marks[1:]] + [inf]
     return tuple(

@@ -17,8 +17,8 @@ from fuzzycnc_ros.bags.runs import (
     DISPLACEMENT_TYPE,
     TEMPERATURES_TYPE,
     Displacements,
-    Samples,
-    Series,
+    SampleCollector,
+    TopicSeries,
     find_topic,
     speed_topics,
 )
@@ -38,7 +38,7 @@ HELD_SHARE = 2.5
 """Validity of an offset when no read-back follows, in usual spacings of the read-backs."""
 
 
-class Mark(NamedTuple):
+class PhaseMark(NamedTuple):
     """Entry by a person: its time [s], the phase that begins, and the author."""
 
     time: float
@@ -46,7 +46,7 @@ class Mark(NamedTuple):
     by: str
 
 
-class Course(NamedTuple):
+class TimeSeries(NamedTuple):
     """Values over time [s], one column for each name."""
 
     time: Floats
@@ -79,7 +79,7 @@ class TestRecording:
     offset : ndarray, shape (n, c), or None
         Offset in force along the axis of each channel [m], NaN where it is not known; None if the
         bag holds no read-back.
-    temperatures : Course or None
+    temperatures : TimeSeries or None
         Temperatures [degC]; NaN where a reading is not good.
     speed : ndarray, shape (n,), or None
         Spindle speed that was known [rad/s], NaN before the first; None if it never was.
@@ -102,9 +102,9 @@ class TestRecording:
     deviation: Floats
     includes: NDArray[np.bool_]
     offset: Floats | None
-    temperatures: Course | None
+    temperatures: TimeSeries | None
     speed: Floats | None
-    marks: tuple[Mark, ...]
+    marks: tuple[PhaseMark, ...]
     zone: str = ''
 
     @property
@@ -156,9 +156,11 @@ def read_test(path: str | os.PathLike[str], machine: str | None = None) -> TestR
         moved = Displacements(source, moved_topic)
         deviation = Displacements(source, moved_topic)
         applied_topic = _found(reader, f'{space}/compensation_applied', CompensationApplied.TYPE)
-        applied, slope, place = (Samples(source, applied_topic, ('axis',), 'axis') for _ in '123')
+        applied, slope, place = (
+            SampleCollector(source, applied_topic, ('axis',), 'axis') for _ in '123'
+        )
         warm_topic = _found(reader, f'{space}/temperatures', TEMPERATURES_TYPE)
-        warm = Samples(source, warm_topic, ('sensor',), 'sensor')
+        warm = SampleCollector(source, warm_topic, ('sensor',), 'sensor')
         event_topic = _found(reader, f'{space}/node_event', NodeEvent.TYPE)
         speeds = speed_topics(reader, space)
         includes: list[bool] = []
@@ -213,7 +215,7 @@ def read_test(path: str | os.PathLike[str], machine: str | None = None) -> TestR
         temperatures=_course(start, warm.series()) if warm_topic else None,
         speed=speeds_at(series.stamp, told),
         # Each part of a bag begins with the newest events, which so come again.
-        marks=tuple(Mark((at - start) / SECOND, *said) for at, *said in sorted(set(marks))),
+        marks=tuple(PhaseMark((at - start) / SECOND, *said) for at, *said in sorted(set(marks))),
         zone=zone,
     )
 
@@ -241,9 +243,9 @@ def _offsets(
     stamp: NDArray[np.int64],
     axis: tuple[str, ...],
     position: Floats,
-    applied: Series,
-    slope: Series,
-    place: Series,
+    applied: TopicSeries,
+    slope: TopicSeries,
+    place: TopicSeries,
 ) -> Floats:
     """Return the newest offset in force at each stamp, NaN where it is too old or not told.
 
@@ -263,8 +265,8 @@ def _offsets(
     return np.where(fresh[:, np.newaxis], told, np.nan)
 
 
-def _course(start: int, series: Series) -> Course:
-    return Course(_since(start, series.stamp), series.names[0], series.values)
+def _course(start: int, series: TopicSeries) -> TimeSeries:
+    return TimeSeries(_since(start, series.stamp), series.names[0], series.values)
 
 
 def _since(start: int, stamp: NDArray[np.int64]) -> Floats:

@@ -18,13 +18,13 @@ from fuzzycnc_ros.studies.thermal_test.evaluation import (
     COMBINED,
     Drift,
     Floats,
-    Found,
     JudgedPhase,
+    MeasuredValue,
     combined_probes,
     judge_phase,
 )
 from fuzzycnc_ros.studies.thermal_test.phases import PhaseList
-from fuzzycnc_ros.studies.thermal_test.recording import Course, TestRecording
+from fuzzycnc_ros.studies.thermal_test.recording import TestRecording, TimeSeries
 from fuzzycnc_ros.studies.thermal_test.set_up import (
     TILTS,
     TestSetUp,
@@ -120,7 +120,7 @@ def judge_test(recording: TestRecording, set_up: TestSetUp, phases: PhaseList) -
     )
 
 
-def _air_sensor(temperatures: Course | None, wanted: str) -> str:
+def _air_sensor(temperatures: TimeSeries | None, wanted: str) -> str:
     """Return the sensor that reads the air: the one that is named, or the one that says so."""
     names = () if temperatures is None else temperatures.names
     if wanted and wanted not in names:
@@ -411,7 +411,7 @@ def _cells(name: str, drift: Drift | None) -> list[str]:
     ]
 
 
-def _micro(found: Found) -> str:
+def _micro(found: MeasuredValue) -> str:
     if found.why:
         return found.why
     return f'{1e6 * found.value:.2f}' if isfinite(found.value) else ''

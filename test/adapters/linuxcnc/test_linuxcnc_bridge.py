@@ -23,9 +23,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_bridge import LinuxcncBridge, LinuxcncBridgeConfig
-from fuzzycnc_ros.adapters.linuxcnc.status import ControllerLimits
+from fuzzycnc_ros.adapters.linuxcnc.status import ServoThreadLimits
 from fuzzycnc_ros.adapters.probing.programs import BEGIN, END
-from fuzzycnc_ros.runtime.enums import AppliedStatus, Coolant, TouchKind
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
+from fuzzycnc_ros.runtime.enums import Coolant, TouchKind
 from fuzzycnc_ros.runtime.records import nanoseconds
 
 
@@ -35,7 +36,7 @@ def test_inactive_it_reads_and_writes_nothing():
     rig.command((10, 0, 0))
     rig.run(0.5)
     assert rig.bridge.orders is None
-    assert (rig.last.status, rig.last.reason) == (AppliedStatus.IDLE, '')
+    assert (rig.last.status, rig.last.reason) == (OffsetStatus.IDLE, '')
     assert rig.at((0, 0, 0))
     assert not rig.allowed
 
@@ -114,7 +115,7 @@ def test_slope_is_refused_where_the_servo_thread_takes_none():
     rig = settled((0, 0, 0))
     rig.command((10, 0, 0), slope=(1e-4, 0, 0), reference=(0.1, 0, 0))
     rig.run(2.0)
-    assert rig.last.status == AppliedStatus.REFUSED
+    assert rig.last.status == OffsetStatus.REFUSED
     assert 'LinuxCNC takes none on X; its HAL file is fuzzycnc.hal; load' in rig.last.reason
     assert rig.at((0, 0, 0))
 
@@ -216,7 +217,7 @@ def test_expired_command_goes_to_zero():
     rig = settled()
     rig.command((10, -20, 30), valid=1.0)
     rig.run(3.0)
-    assert rig.last.status == AppliedStatus.EXPIRED
+    assert rig.last.status == OffsetStatus.EXPIRED
     assert rig.at((0, 0, 0))
 
 
@@ -226,7 +227,7 @@ def test_registers_are_cleared_while_not_ready(what):
     rig = settled()
     setattr(rig.controller, what, False)
     rig.run(0.5)
-    assert rig.last.status == AppliedStatus.REFUSED
+    assert rig.last.status == OffsetStatus.REFUSED
     assert ('off' if what == 'on' else 'not homed') in rig.last.reason
     assert not rig.allowed
     rig.command((40, 40, 40))
@@ -362,7 +363,7 @@ def test_adopted_offsets_do_not_stand_for_ever():
     assert rig.at((10, -20, 30))
     rig.run(4.0)
     assert rig.at((0, 0, 0))
-    assert rig.last.status == AppliedStatus.EXPIRED
+    assert rig.last.status == OffsetStatus.EXPIRED
 
 
 def test_new_bridge_on_the_way_to_zero():
@@ -396,7 +397,7 @@ def test_controller_that_ends_is_told_and_comes_back():
     told = list(rig.bridge.lose(nanoseconds(rig.time), 'LinuxCNC has ended'))
     rig.bench.emitted += told
     assert {item.output for item in told} == {'machine_state', 'compensation_applied'}
-    assert (rig.last.status, rig.last.reason) == (AppliedStatus.REFUSED, 'LinuxCNC has ended')
+    assert (rig.last.status, rig.last.reason) == (OffsetStatus.REFUSED, 'LinuxCNC has ended')
     assert not rig.allowed
     assert rig.bridge.orders is None
     assert 'ERROR linuxcnc: LinuxCNC has ended' in rig.bench.health()
@@ -431,7 +432,7 @@ def test_stale_and_old_owners_are_refused():
     rig.run(2.0)
     rig.command((0, 0, 0), epoch=2)
     rig.run(2.0)
-    assert rig.last.status == AppliedStatus.REFUSED
+    assert rig.last.status == OffsetStatus.REFUSED
     assert rig.at((20, 20, 20))
 
 
@@ -445,7 +446,7 @@ def test_stale_and_old_owners_are_refused():
 )
 def test_limits_of_the_hal_file_are_wider(limits, text):
     rig = Rig()
-    given_limits = ControllerLimits(counts_max=limits[0], counts_rate=limits[1], hold_time=2.0)
+    given_limits = ServoThreadLimits(counts_max=limits[0], counts_rate=limits[1], hold_time=2.0)
     found = rig.bridge.refusal(given_limits, rig.controller.cycle())
     assert (text in found) if text else not found
 
@@ -453,7 +454,7 @@ def test_limits_of_the_hal_file_are_wider(limits, text):
 def test_scale_of_zero_is_refused():
     rig = Rig()
     rig.controller.scale = np.zeros(3)
-    limits = ControllerLimits(counts_max=1e4, counts_rate=1e4, hold_time=2.0)
+    limits = ServoThreadLimits(counts_max=1e4, counts_rate=1e4, hold_time=2.0)
     assert 'set [FUZZYCNC]SCALE' in rig.bridge.refusal(limits, rig.controller.cycle())
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from fuzzycnc_ros.adapters.linuxcnc.status import (
     SURE,
-    ControllerStatus,
+    LinuxcncStatus,
     OffsetRegisters,
     RegisterPhase,
 )
@@ -20,7 +20,7 @@ SCALE = 1e-8
 def status(tick, counts, register):
     """Return what is read, for one axis whose register is told in counts."""
     offset = np.array([register * SCALE])
-    return ControllerStatus(
+    return LinuxcncStatus(
         mode=MachineMode.RUNNING,
         homed=True,
         ready=True,

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.inputs.lines import Travel
-from fuzzycnc_ros.runtime.enums import AppliedStatus
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 
 
 def test_inactive_it_writes_nothing():
@@ -19,7 +19,7 @@ def test_inactive_it_writes_nothing():
     rig.command((10, 0))
     rig.run(1.0)
     assert rig.bridge.orders is None
-    assert (rig.last.status, rig.last.reason) == (AppliedStatus.IDLE, '')
+    assert (rig.last.status, rig.last.reason) == (OffsetStatus.IDLE, '')
     assert not rig.sets
     assert not rig.allowed
 
@@ -101,7 +101,7 @@ def test_expired_command_goes_to_zero():
     rig = settled()
     rig.command((10, -20), valid=1.0)
     rig.run(5.0)
-    assert rig.last.status == AppliedStatus.EXPIRED
+    assert rig.last.status == OffsetStatus.EXPIRED
     assert rig.at((0, 0))
 
 
@@ -117,7 +117,7 @@ def test_nothing_while_the_control_forbids_it(what, text):
     rig = settled()
     setattr(rig.control, what, False)
     rig.run(5.0)
-    assert rig.last.status == AppliedStatus.REFUSED
+    assert rig.last.status == OffsetStatus.REFUSED
     assert text in rig.last.reason
     assert not rig.allowed
     assert rig.at((0, 0))
@@ -143,7 +143,7 @@ def test_slope_where_there_is_none_is_refused():
     rig = settled()
     rig.command((0, 0), slope=(0, 1e-5))
     rig.run(1.0)
-    assert rig.last.status == AppliedStatus.REFUSED
+    assert rig.last.status == OffsetStatus.REFUSED
     assert 'slope: the control takes none on Z' in rig.last.reason
     assert rig.at((10, -20))
     rig.command((0, 0))
@@ -170,7 +170,7 @@ def test_stale_and_old_owners_are_refused():
     rig.run(6.0)
     rig.command((0, 0), epoch=2)
     rig.run(2.0)
-    assert rig.last.status == AppliedStatus.REFUSED
+    assert rig.last.status == OffsetStatus.REFUSED
     assert rig.at((20, 20))
 
 

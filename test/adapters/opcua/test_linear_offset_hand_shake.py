@@ -9,7 +9,7 @@ from benches.line_control import WATCHDOG, LineControl
 from benches.line_rig import CYCLE, SCALE, SLEW, Rig, settled
 
 from fuzzycnc_ros.adapters.opcua.hand_shake import NUMBERS
-from fuzzycnc_ros.runtime.enums import AppliedStatus
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.runtime.records import nanoseconds
 
 
@@ -43,7 +43,7 @@ def test_frozen_acknowledgement_is_told_and_the_control_lets_go():
     rig = settled(validity=5.0)
     rig.control.frozen = True
     rig.run(4.5)
-    assert rig.last.status == AppliedStatus.REFUSED
+    assert rig.last.status == OffsetStatus.REFUSED
     assert 'has not been acknowledged within 2 s' in rig.last.reason
     assert not rig.allowed
     rig.run(6.0)
@@ -161,7 +161,7 @@ def test_adopted_offsets_do_not_stand_for_ever():
     assert rig.at((10, -20))
     rig.run(6.0)
     assert rig.at((0, 0))
-    assert rig.last.status == AppliedStatus.EXPIRED
+    assert rig.last.status == OffsetStatus.EXPIRED
 
 
 def test_adopted_offsets_do_not_stand_for_ever_on_a_connection_that_comes_and_goes():
@@ -172,7 +172,7 @@ def test_adopted_offsets_do_not_stand_for_ever_on_a_connection_that_comes_and_go
         rig.silence(1.0)
         rig.run(4.0)
     assert rig.at((0, 0))
-    assert rig.last.status == AppliedStatus.EXPIRED
+    assert rig.last.status == OffsetStatus.EXPIRED
     rig.command((10, -20))
     rig.run(5.0)
     assert rig.at((10, -20))
@@ -186,7 +186,7 @@ def test_lost_connection_is_told_and_taken_up_again_without_a_step():
     rig = settled()
     told = list(rig.bridge.lose(nanoseconds(rig.time), 'no answer within 2 s'))
     rig.bench.emitted += told
-    assert (rig.last.status, rig.last.reason) == (AppliedStatus.REFUSED, 'no answer within 2 s')
+    assert (rig.last.status, rig.last.reason) == (OffsetStatus.REFUSED, 'no answer within 2 s')
     np.testing.assert_allclose(rig.last.offset, [10e-6, -20e-6], atol=1e-8)
     assert not rig.allowed
     assert rig.bridge.orders is None
@@ -206,7 +206,7 @@ def test_second_writer_is_named_and_both_are_refused():
     rig.control.offset = np.array([1e-6, 1e-6])
     rig.run(0.3)
     assert rig.bridge.orders is None
-    assert rig.last.status == AppliedStatus.REFUSED
+    assert rig.last.status == OffsetStatus.REFUSED
     assert 'two writers' in rig.last.reason
     assert 'panel 7 (set 4711)' in rig.last.reason
     assert not rig.allowed
@@ -277,4 +277,4 @@ def test_compensator_and_bridge_survive_each_others_ends():
     loop.run(15)
     path = np.array(rig.path[begin:])
     np.testing.assert_allclose(path, np.tile(wanted, (len(path), 1)), atol=SCALE)
-    assert rig.last.status == AppliedStatus.FOLLOWING
+    assert rig.last.status == OffsetStatus.FOLLOWING

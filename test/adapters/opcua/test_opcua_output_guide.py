@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from fuzzycnc_ros.adapters.opcua.control_file import read_control
 from fuzzycnc_ros.adapters.opcua.opcua_bridge import OpcuaBridge, OpcuaBridgeConfig
-from fuzzycnc_ros.runtime.enums import AppliedStatus
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.runtime.records import Compensation, nanoseconds
 
 GUIDE = (Path(__file__).parents[3] / 'docs' / 'how-to' / 'opcua-output.md').read_text(
@@ -245,7 +245,7 @@ def test_adapter_of_the_guide_carries_offsets():
     run(3.0)
     assert image['applied'] == pytest.approx(12.0, abs=0.02)
     last = bench.records('compensation_applied')[-1]
-    assert last.status == AppliedStatus.FOLLOWING
+    assert last.status == OffsetStatus.FOLLOWING
     assert last.offset[0] == pytest.approx(12e-6, abs=2e-8)
     adapter.release()
     assert image['sequence'] == 0

@@ -15,7 +15,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from equipment.field_servers import LOCAL
 from equipment.secured_server import certificate
 
-from fuzzycnc_ros.adapters.opcua.report_server import NAMESPACE, Entry, ReportServer
+from fuzzycnc_ros.adapters.opcua.report_server import NAMESPACE, ReportServer, ServerAccess
 from fuzzycnc_ros.ros.parameters import ParameterError
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
@@ -95,7 +95,7 @@ def test_others_enter_encrypted_and_with_the_password(tmp_path):
         tmp_path, 'server', 'urn:fuzzycnc:report:server', ExtendedKeyUsageOID.SERVER_AUTH
     )
     own = certificate(tmp_path, 'own', 'urn:client', ExtendedKeyUsageOID.CLIENT_AUTH)
-    server = ReportServer('mill', LOCAL, 0, 150.0, Entry(*theirs, 'joe', 'secret'))
+    server = ReportServer('mill', LOCAL, 0, 150.0, ServerAccess(*theirs, 'joe', 'secret'))
     try:
         server.publish(REPORT)
         assert asyncio.run(entered(server, own, 'joe', 'secret')) == -12.5
@@ -124,4 +124,4 @@ async def entered(server, own, user, password):
 def test_a_certificate_that_is_none_is_refused(tmp_path):
     none = tmp_path / 'none.der'
     with pytest.raises(ParameterError, match=r'none\.der'):
-        ReportServer('mill', LOCAL, 0, 150.0, Entry(none, none, 'joe', 'secret'))
+        ReportServer('mill', LOCAL, 0, 150.0, ServerAccess(none, none, 'joe', 'secret'))

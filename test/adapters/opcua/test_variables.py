@@ -11,7 +11,7 @@ pytest.importorskip('rclpy')
 ua = pytest.importorskip('asyncua').ua
 
 from fuzzycnc_ros.adapters.link import LinkError  # noqa: E402
-from fuzzycnc_ros.adapters.opcua.variables import ControlVariable, Kind, Variables  # noqa: E402
+from fuzzycnc_ros.adapters.opcua.variables import ControlVariable, Variables, VariableType  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -56,7 +56,7 @@ def found_at(server, kind, **more):
 def test_real_value_of_a_subtype_is_written_as_the_server_holds_it(data_type, kind):
     declared = data_type == ua.NodeId(ua.ObjectIds.Double)
     server = Server(data_type, ua.Variant(0.0, kind))
-    variables = found_at(server, Kind.QUANTITY, scale=1e-6, scaled=True, written=True)
+    variables = found_at(server, VariableType.QUANTITY, scale=1e-6, scaled=True, written=True)
     asyncio.run(variables.write({'offset': 12e-6}))
     (sent,) = server.written
     assert sent.VariantType is (ua.VariantType.Double if declared else kind)
@@ -66,7 +66,7 @@ def test_real_value_of_a_subtype_is_written_as_the_server_holds_it(data_type, ki
 
 def test_whole_value_of_a_subtype_is_written_in_counts():
     server = Server(OWN_TYPE, ua.Variant(0, ua.VariantType.Int16))
-    variables = found_at(server, Kind.QUANTITY, scale=1e-7, scaled=True, written=True)
+    variables = found_at(server, VariableType.QUANTITY, scale=1e-7, scaled=True, written=True)
     asyncio.run(variables.write({'offset': 12e-6}))
     (sent,) = server.written
     assert (sent.VariantType, sent.Value) == (ua.VariantType.Int16, 120)
@@ -80,4 +80,4 @@ def test_whole_value_of_a_subtype_is_written_in_counts():
 def test_subtype_whose_value_does_not_fit_is_refused_by_its_type(value, says):
     server = Server(OWN_TYPE, value)
     with pytest.raises(LinkError, match=says):
-        found_at(server, Kind.QUANTITY, scale=1e-6, scaled=True)
+        found_at(server, VariableType.QUANTITY, scale=1e-6, scaled=True)

@@ -12,8 +12,8 @@ from fuzzycnc_ros.cli.axes.servo import COMMANDS
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
-from fuzzycnc_ros.core.servo.baselines import PidController
 from fuzzycnc_ros.core.servo.params import VariableUniverseParams
+from fuzzycnc_ros.core.servo.pid_cascade import PidController
 from fuzzycnc_ros.core.servo.profile import point_to_point
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 from fuzzycnc_ros.runtime.enums import ServoStatus

@@ -14,7 +14,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.task import Future
 
 from fuzzycnc_ros.cli.live import operator_client
-from fuzzycnc_ros.cli.live.operator_client import Operator
+from fuzzycnc_ros.cli.live.operator_client import OperatorClient
 from fuzzycnc_ros.ros.presence import GraphError
 
 pytestmark = pytest.mark.ros
@@ -52,7 +52,7 @@ def serve(domain, monkeypatch):
     """Let an operator call a server that loses the first answers of some services."""
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
     monkeypatch.setattr(operator_client, 'AGAIN', 0.1)
-    with Operator('mill') as operator:
+    with OperatorClient('mill') as operator:
 
         def begin(lost):
             server = Server(lost)

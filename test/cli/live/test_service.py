@@ -11,7 +11,7 @@ import sys
 import pytest
 
 from fuzzycnc_ros.cli.live.service_units import PAGE, passed_on, unit_name
-from fuzzycnc_ros.cli.live.supervision import State, Supervised
+from fuzzycnc_ros.cli.live.supervision import ProcessState, Supervised
 from fuzzycnc_ros.cli.live.supervision_run import COMING_BACK, silent_nodes
 from fuzzycnc_ros.cli.main import run
 from fuzzycnc_ros.ros.bring_up import NODE_STOP, RECORDER_STOP, NodeSpec
@@ -251,7 +251,7 @@ def test_nodes_that_hang_or_were_given_up_are_silent():
     assert silent_nodes([supervised('thermal_predictor', begun=begun)], views, now) == []
     late = supervised('thermal_predictor', begun=[now - 2.0 * COMING_BACK])
     assert silent_nodes([late], views, now) == ['mill/thermal_predictor']
-    gone = supervised('recorder', state=State.GIVEN_UP)
+    gone = supervised('recorder', state=ProcessState.GIVEN_UP)
     assert silent_nodes([gone], views, now) == ['mill/recorder']
-    ending = supervised('recorder', state=State.WAITING)
+    ending = supervised('recorder', state=ProcessState.WAITING)
     assert silent_nodes([ending], views, now) == []

@@ -15,9 +15,9 @@ from rich.console import Console
 
 from fuzzycnc_ros.cli.live import graph_processes
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
-from fuzzycnc_ros.cli.live.supervision import State, Supervisor
+from fuzzycnc_ros.cli.live.supervision import ProcessState, Supervisor
 from fuzzycnc_ros.cli.live.supervision_run import _end
-from fuzzycnc_ros.cli.live.supervision_view import View, row, table
+from fuzzycnc_ros.cli.live.supervision_view import ProcessView, row, table
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros import bring_up, processes
 from fuzzycnc_ros.ros.bring_up import (
@@ -117,7 +117,7 @@ class Bench:
         self.graph.codes[name] = code
         self.supervisor.poll(self.now)
         process = next(item for item in self.processes if item.name == name)
-        if process.state is not State.WAITING:
+        if process.state is not ProcessState.WAITING:
             return None
         count, ended = len(self.graph.started), self.now
         while len(self.graph.started) == count:
@@ -159,12 +159,12 @@ def test_what_is_beside_the_run_is_started_again_and_never_ends_it():
     bench.processes.append(page)
     assert bench.end('dashboard', 1) == 0.5
     assert bench.end('dashboard', 2) is None
-    assert page.state is State.GIVEN_UP
+    assert page.state is ProcessState.GIVEN_UP
     assert (bench.supervisor.given_up, bench.supervisor.over) == ([], False)
     refused = bench.supervisor.start(bench.graph, [NodeSpec('dashboard')], beside=True)
     bench.graph.codes['dashboard'] = 2
     bench.supervisor.poll(bench.now)
-    assert refused.state is State.GIVEN_UP
+    assert refused.state is ProcessState.GIVEN_UP
 
 
 def test_others_are_left_alone():
@@ -447,7 +447,7 @@ def test_table_has_a_row_per_node_and_cuts_no_line():
 def test_elsewhere_only_changes_are_written():
     bench = Bench(NodeSpec('compensator', {'autostart': True}))
     out = io.StringIO()
-    view = View(Console(file=out, width=100))
+    view = ProcessView(Console(file=out, width=100))
     views = Views()
     for changes in (
         {'heard_at': 0.0},
@@ -474,7 +474,7 @@ def test_elsewhere_silence_is_written():
     """A node that was stopped says nothing itself, and the others only that they miss it."""
     bench = Bench(NodeSpec('compensator'), NodeSpec('sensor_selector'))
     out = io.StringIO()
-    view = View(Console(file=out, width=100))
+    view = ProcessView(Console(file=out, width=100))
     views = Views(compensator=Said(heard_at=math.inf))
     for heard_at in (math.inf, 10.0, 10.0, math.inf, 10.0):
         views['sensor_selector'] = Said(heard_at=heard_at)

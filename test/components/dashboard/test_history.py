@@ -11,7 +11,7 @@ from fuzzycnc_ros.components.dashboard.history import (
     COLUMNS_MAX,
     POINTS_MAX,
     History,
-    Series,
+    QuantityHistory,
     Tier,
     history_document,
     joined,
@@ -28,14 +28,14 @@ def filled(series, seconds, begin=0):
 
 
 def test_new_samples_are_kept_as_they_came():
-    rows = filled(Series(), 300).rows(100.0, 120.0, 600)
+    rows = filled(QuantityHistory(), 300).rows(100.0, 120.0, 600)
     assert rows.time.tolist() == list(range(100, 121))
     assert rows.mean[:, 0].tolist() == rows.low[:, 0].tolist() == rows.time.tolist()
     assert not rows.flag.any()
 
 
 def test_older_ones_are_rows_of_least_largest_and_mean():
-    rows = filled(Series(SMALL), 200).rows(0.0, 1e9, 600)
+    rows = filled(QuantityHistory(SMALL), 200).rows(0.0, 1e9, 600)
     assert rows.time[-10:].tolist() == list(range(190, 200))
     coarse = rows.time < 190.0
     assert np.diff(rows.time[coarse]).max() == 60.0
@@ -49,7 +49,7 @@ def test_older_ones_are_rows_of_least_largest_and_mean():
 
 
 def test_the_oldest_is_dropped():
-    series = filled(Series(SMALL), 1000)
+    series = filled(QuantityHistory(SMALL), 1000)
     assert series.begin >= 1000 - 6 * 60
     assert series.rows(0.0, 1e9, 600).time[0] == series.begin
 
@@ -68,7 +68,7 @@ def test_a_day_of_76_sensors_at_1_hz_stays_within_150_mib():
 
 
 def test_few_rows_hold_the_peaks_of_many():
-    series = Series()
+    series = QuantityHistory()
     values = np.random.default_rng(4).standard_normal(600)
     for second, value in enumerate(values):
         series.add(second * SECOND, {'a': value}, frozenset({'a'} if second == 77 else ()))
@@ -80,7 +80,7 @@ def test_few_rows_hold_the_peaks_of_many():
 
 
 def test_what_two_topics_say_of_one_time_is_one_row():
-    series = Series()
+    series = QuantityHistory()
     series.add(5 * SECOND, {'Y predicted': 1.0})
     series.add(5 * SECOND, {'Y probed': 2.0})
     series.add(4 * SECOND, {'Z probed': 3.0})  # it came late
@@ -90,7 +90,7 @@ def test_what_two_topics_say_of_one_time_is_one_row():
 
 
 def test_columns_come_and_go():
-    series = Series(SMALL)
+    series = QuantityHistory(SMALL)
     series.add(SECOND, {'a': 1.0})
     series.add(2 * SECOND, {'b': 2.0})
     rows = series.rows(0.0, 10.0, 10)
@@ -99,7 +99,7 @@ def test_columns_come_and_go():
 
 
 def test_what_is_no_number_is_none():
-    series = Series(SMALL)
+    series = QuantityHistory(SMALL)
     series.add(SECOND, {'a': np.nan, 'b': np.inf, 'c': 1e300, 'd': 1.0})
     series.add(2 * SECOND, {'a': 2.0})
     rows = series.rows(0.0, 10.0, 10)
@@ -111,20 +111,20 @@ def test_what_is_no_number_is_none():
 
 
 def test_no_more_columns_than_there_is_room_for():
-    series = Series(SMALL)
+    series = QuantityHistory(SMALL)
     series.add(SECOND, {f't{number}': 1.0 for number in range(COLUMNS_MAX + 100)})
     series.add(2 * SECOND, {'late': 1.0})
     assert len(series.names) == COLUMNS_MAX
 
 
 def test_an_empty_series_has_no_rows():
-    rows = Series().rows(0.0, 1e9, 10)
+    rows = QuantityHistory().rows(0.0, 1e9, 10)
     assert len(rows.time) == 0
     assert history_document('mill', 'error', (), rows)['time'] == []
 
 
 def test_two_stretches_are_one():
-    first, second = filled(Series(), 50), Series()
+    first, second = filled(QuantityHistory(), 50), QuantityHistory()
     for at in range(50, 80):
         second.add(at * SECOND, {'b': 1.0, 'c': 2.0})
     columns, rows = joined(

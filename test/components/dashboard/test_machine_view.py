@@ -10,15 +10,10 @@ import pytest
 
 from fuzzycnc_ros.components.dashboard.machine_view import SILENT, MachineView
 from fuzzycnc_ros.components.dashboard.node_report import NODE_SILENT, split_advice
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
+from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryStatus
 from fuzzycnc_ros.runtime.component import Health, Level
-from fuzzycnc_ros.runtime.enums import (
-    AppliedStatus,
-    CompensationState,
-    MachineMode,
-    ServoStatus,
-    Status,
-    TrajectoryStatus,
-)
+from fuzzycnc_ros.runtime.enums import CompensationState, MachineMode, ServoStatus, Status
 from fuzzycnc_ros.runtime.host import NodeConfiguration
 from fuzzycnc_ros.runtime.records import (
     SECOND,
@@ -84,7 +79,7 @@ def compensation(at=0, value=-3e-6, state=CompensationState.ACTIVE, limit=False)
     )
 
 
-def applied(at=0, value=-2.9e-6, status=AppliedStatus.FOLLOWING, reason=''):
+def applied(at=0, value=-2.9e-6, status=OffsetStatus.FOLLOWING, reason=''):
     return CompensationApplied(
         stamp=START + at * SECOND,
         epoch=1,
@@ -294,7 +289,7 @@ def test_without_a_compensator_none_is_shown():
 
 def test_what_the_machine_refuses_is_told():
     view = running()
-    view.take('compensation_applied', applied(1, 0.0, AppliedStatus.REFUSED, 'epoch'), 1.0)
+    view.take('compensation_applied', applied(1, 0.0, OffsetStatus.REFUSED, 'epoch'), 1.0)
     state = document(view, 1.0)['state']
     assert state['compensation'] == 'refused'
     assert 'refuses offsets: epoch' in state['why']
@@ -308,7 +303,7 @@ def test_a_compensator_that_hangs_is_not_active():
     """What it told last was that it is; the machine side knows better."""
     view = running()
     assert document(view, 1.0)['state']['compensation'] == 'active'
-    view.take('compensation_applied', applied(1, -1e-6, AppliedStatus.EXPIRED), 1.0)
+    view.take('compensation_applied', applied(1, -1e-6, OffsetStatus.EXPIRED), 1.0)
     assert document(view, 1.0)['state']['compensation'] == 'expired'
     view.take('compensation', compensation(2), 2.0)
     view.take('compensation_applied', applied(2), 2.0)

@@ -18,9 +18,10 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
 from fuzzycnc_ros.components.machine.simulated_machine_config import DAY_START, contouring_config
 from fuzzycnc_ros.core.feedrate.path.curves import SHEET_SCALES, butterfly
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantNormalAcceleration
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import ConstantNormalAcceleration
+from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryStatus
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
-from fuzzycnc_ros.runtime.enums import MachineMode, TrajectoryStatus
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import SECOND, nanoseconds
 from fuzzycnc_ros.simulation.motion.contour import Contour
 from fuzzycnc_ros.simulation.motion.contouring import (

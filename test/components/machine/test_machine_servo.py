@@ -16,7 +16,8 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
     ServoControllerConfig,
     make_controllers,
 )
-from fuzzycnc_ros.runtime.enums import MachineMode, TrajectoryStatus
+from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryStatus
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisCommand,

@@ -8,9 +8,9 @@ from benches.bridge_bench import MICRON
 from benches.linuxcnc_rig import CYCLE, SCALE, SLEW, Rig, settled
 
 from fuzzycnc_ros.adapters.controller_bridge import STEPS_MAX
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.core.inputs.offsets import EPOCH_STEP
 from fuzzycnc_ros.runtime.component import REQUEST
-from fuzzycnc_ros.runtime.enums import AppliedStatus
 from fuzzycnc_ros.runtime.records import SECOND, Compensation, nanoseconds
 
 HOUR, DAY = 3600.0, 86400.0
@@ -26,7 +26,7 @@ def test_offsets_expire_although_the_clock_goes_back(back, told):
     rig.run(2.0)
     assert rig.at((10, -20, 30))
     rig.run(5.0)
-    assert rig.last.status == AppliedStatus.EXPIRED
+    assert rig.last.status == OffsetStatus.EXPIRED
     assert rig.at((0, 0, 0))
     assert rig.largest_step <= STEP
 
@@ -70,7 +70,7 @@ def test_silence_of_an_owner_ends_its_right(valid):
     rig.run(4.5)
     assert rig.at((40, 0, 0))
     rig.run(2.0)
-    assert rig.last.status == AppliedStatus.EXPIRED
+    assert rig.last.status == OffsetStatus.EXPIRED
     assert rig.at((0, 0, 0))
 
 
@@ -80,7 +80,7 @@ def test_epoch_that_jumps_is_refused_and_locks_nobody_out(epoch):
     rig.command((40, 0, 0), epoch=epoch)
     rig.run(2.0)
     assert rig.at((10, -20, 30))
-    assert rig.last.status == AppliedStatus.REFUSED
+    assert rig.last.status == OffsetStatus.REFUSED
     assert f'expected epoch 1 to {1 + EPOCH_STEP} but found {epoch}' in rig.last.reason
     rig.command((5, 5, 5), epoch=2)
     rig.run(2.0)
@@ -181,7 +181,7 @@ class Strangers:
         self.fed = 0.0
         for _ in range(round(1.9 / CYCLE)):
             self.cycle()
-        assert rig.last.status == AppliedStatus.FOLLOWING, rig.last
+        assert rig.last.status == OffsetStatus.FOLLOWING, rig.last
         assert rig.at(wanted)
 
 

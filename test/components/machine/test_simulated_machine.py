@@ -11,8 +11,9 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachineConfig,
 )
 from fuzzycnc_ros.components.machine.simulated_machine_config import DAY_START
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.runtime.component import Emission
-from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     Compensation,
@@ -227,7 +228,7 @@ def test_offsets_go_to_zero_by_themselves_when_the_command_expires():
     np.testing.assert_array_equal(moved[-1], 0.0)
     assert np.abs(np.diff(moved, axis=0)).max() <= 0.5 * MICRON * (1 + 1e-9)
     last = next(e.record for e in drive(bench, 1) if e.output == 'compensation_applied')
-    assert last.status == AppliedStatus.EXPIRED
+    assert last.status == OffsetStatus.EXPIRED
     assert 'expired' in bench.health()
 
 
@@ -239,7 +240,7 @@ def test_read_back_says_why_a_command_was_refused():
     bench.push('compensation', command(2.0, (30 * MICRON, 0.0), epoch=4))
     found = drive(bench, 30)
     last = [e.record for e in found if e.output == 'compensation_applied'][-1]
-    assert last.status == AppliedStatus.REFUSED
+    assert last.status == OffsetStatus.REFUSED
     assert last.epoch == 5
     assert 'expected epoch 5 or higher but found 4' in last.reason
     assert last.offset[0] == pytest.approx(1 * MICRON)

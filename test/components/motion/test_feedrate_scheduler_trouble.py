@@ -14,7 +14,8 @@ from benches.feedrate_rig import CONFIG, PROGRAM, SMALL, Rig, check_motion, dist
 from fuzzycnc_ros.components.motion.tool_paths import program_tool_path
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly
-from fuzzycnc_ros.runtime.enums import MachineMode, TrajectoryStatus
+from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryStatus
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import SECOND, nanoseconds
 
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from fuzzycnc_ros.components.dashboard.node_report import NODE_SILENT
 from fuzzycnc_ros.components.report.machine_report import MachineReport
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.runtime.component import Health, Level
-from fuzzycnc_ros.runtime.enums import AppliedStatus, SpeedStatus, Status
+from fuzzycnc_ros.runtime.enums import SpeedStatus, Status
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     CompensationApplied,
@@ -57,7 +58,7 @@ def filled():
         CompensationApplied(
             stamp=6 * SECOND,
             epoch=1,
-            status=AppliedStatus.REFUSED,
+            status=OffsetStatus.REFUSED,
             reason='',
             axis=('X', 'Z'),
             offset=np.array([0.0, -12.5e-6]),

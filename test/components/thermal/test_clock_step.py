@@ -27,7 +27,8 @@ from fuzzycnc_ros.components.thermal.temperature_acquisition import (
     TemperatureAcquisitionConfig,
 )
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
-from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState, Reason, Status
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
+from fuzzycnc_ros.runtime.enums import CompensationState, Reason, Status
 from fuzzycnc_ros.runtime.records import SECOND, SensorSelection, nanoseconds
 
 HOUR = 3600.0
@@ -50,7 +51,7 @@ def test_compensator_holds_and_follows_again_in_the_new_series(step):
     assert rig.at(wanted)
     compensated.run(30)
     assert compensated.bench.records('compensation')[-1].state == CompensationState.ACTIVE
-    assert rig.last.status == AppliedStatus.FOLLOWING
+    assert rig.last.status == OffsetStatus.FOLLOWING
     assert rig.at(wanted)
     assert rig.largest_step <= SLEW * CYCLE + SCALE
 
@@ -92,7 +93,7 @@ def test_first_read_back_may_be_forged(epoch):
     compensated.bench.push('compensation_applied', _forged(forged, epoch, rig.time))
     compensated.bench.until(rig.time)
     compensated.run(40)
-    assert rig.last.status == AppliedStatus.FOLLOWING
+    assert rig.last.status == OffsetStatus.FOLLOWING
     assert rig.last.epoch < 10
     assert rig.at(-1e6 * np.array([0.0, *ERROR]))
 

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.components.thermal.compensator import Compensator, CompensatorConfig
-from fuzzycnc_ros.core.inputs.offset_input import OffsetInput, OffsetInputConfig
-from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
+from fuzzycnc_ros.core.inputs.offset_input import OffsetInput, OffsetInputConfig, OffsetStatus
+from fuzzycnc_ros.runtime.enums import CompensationState
 from fuzzycnc_ros.runtime.records import SECOND, CompensationApplied
 
 MICRON = 1e-6
@@ -192,7 +192,7 @@ def test_both_are_refused_and_the_last_one_left_ramps_up(shop):
     shop.run(120)
     shop.run(300, allowed=False)
     np.testing.assert_array_equal(shop.input.applied, 0.0)
-    assert shop.readings[-1].status == AppliedStatus.REFUSED
+    assert shop.readings[-1].status == OffsetStatus.REFUSED
     shop.remove('b')
     before = len(shop.readings)
     shop.run(900)
@@ -247,7 +247,7 @@ def test_owner_that_yields_may_be_deactivated():
     bench.until(1.0)
     bench.request('activate')
     bench.give('thermal_error', thermal_error(60.0, ERROR))
-    other = replace(applied(61.0, (5 * MICRON, 0.0), 9), status=int(AppliedStatus.FOLLOWING))
+    other = replace(applied(61.0, (5 * MICRON, 0.0), 9), status=int(OffsetStatus.FOLLOWING))
     bench.give('compensation_applied', other)
     assert bench.component.next_deadline is None
     assert bench.give('thermal_error', thermal_error(120.0, ERROR)) == []

@@ -9,7 +9,8 @@ import pytest
 from benches.component_bench import Bench, applied, machine_state, thermal_error
 
 from fuzzycnc_ros.components.thermal.compensator import Compensator, CompensatorConfig
-from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
+from fuzzycnc_ros.runtime.enums import CompensationState
 from fuzzycnc_ros.runtime.records import Compensation, CompensationApplied
 
 MICRON = 1e-6
@@ -97,7 +98,7 @@ def test_a_restart_goes_on_from_the_line_in_force():
         applied(1.0, (20e-6, 0.0), 3),
         slope=np.array([80e-6, 0.0]),
         position=np.array([-0.4, 0.0]),
-        status=int(AppliedStatus.FOLLOWING),
+        status=int(OffsetStatus.FOLLOWING),
     )
     command = follow(bench_of(read_back=moved), 1.0)
     assert command.epoch == 4
@@ -133,7 +134,7 @@ def in_force(command: Compensation) -> CompensationApplied:
         stamp=command.stamp,
         slope=command.slope,
         position=command.reference_position,
-        status=int(AppliedStatus.FOLLOWING),
+        status=int(OffsetStatus.FOLLOWING),
     )
 
 

@@ -11,8 +11,8 @@ from fuzzycnc_ros.components.thermal.predictor_stream import (
     LEAD_MAX,
     OWN,
     STATE,
+    SpeedReading,
     SpeedSources,
-    Told,
     speed_told,
     speeds_at,
 )
@@ -31,7 +31,7 @@ def sources(*told: tuple[str, float, float]) -> SpeedSources:
 
 def test_state_of_the_machine_has_precedence():
     made = sources((STATE, 10.0, 100.0), (OWN, 11.0, 101.0), (OWN, 10.0 + LEAD_MAX, 102.0))
-    assert made.newest == Told(STATE, 10 * SECOND, 100.0)
+    assert made.newest == SpeedReading(STATE, 10 * SECOND, 100.0)
     assert made.health().message == '100 rad/s (955 rpm) from machine_state'
 
 
@@ -39,7 +39,7 @@ def test_state_that_is_silent_or_does_not_know_gives_way():
     late = 10.5 + LEAD_MAX
     for known in ((), ((STATE, 10.0, 100.0), (STATE, 20.0, np.nan), (STATE, 70.0, np.nan))):
         made = sources(*known, (OWN, late, 102.0))
-        assert made.newest == Told(OWN, round(late * SECOND), 102.0)
+        assert made.newest == SpeedReading(OWN, round(late * SECOND), 102.0)
         assert made.health().message.endswith('from spindle_speed')
     made.note(STATE, round(late * SECOND), 99.0)
     assert made.newest.source == STATE
@@ -47,7 +47,7 @@ def test_state_that_is_silent_or_does_not_know_gives_way():
 
 def test_unknown_speed_leaves_the_last_known():
     made = sources((OWN, 5.0, 50.0), (OWN, 6.0, np.nan), (STATE, 7.0, np.nan))
-    assert made.newest == Told(OWN, 5 * SECOND, 50.0)
+    assert made.newest == SpeedReading(OWN, 5 * SECOND, 50.0)
     assert sources((STATE, 1.0, np.nan), (OWN, 1.0, np.inf)).newest is None
     assert sources().health().level is Level.WARN
 

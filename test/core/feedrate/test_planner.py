@@ -13,8 +13,8 @@ from paths.reference_parts import reference_parts
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.trajectory import MotionSamples, limit_motion
 from fuzzycnc_ros.core.feedrate.schedule.feeds import FeedPlan, desired_feed
-from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantFeed, ConstantNormalAcceleration
 from fuzzycnc_ros.core.feedrate.schedule.planner import Planner, PlannerSettings
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import ConstantFeed, ConstantNormalAcceleration
 from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 from fuzzycnc_ros.papers.feedrate import FuzzyScheduler
 

@@ -7,9 +7,9 @@ import pytest
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.gcode.segments import ProgramError
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
-from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantNormalAcceleration
-from fuzzycnc_ros.core.feedrate.schedule.program_run import ProgramRun, Source
+from fuzzycnc_ros.core.feedrate.schedule.program_run import BlockReader, ProgramRun
 from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import ConstantNormalAcceleration
 
 CURVE = 'G21 G90\nG0 X0 Y0 Z0\nG5.2 X3 Y4 P{weight} L{order} F300\nX5 Y6\nX7 Y{y}\nX9 Y4\nG5.3\n'
 
@@ -69,7 +69,9 @@ def test_many_turns_are_scheduled_in_parts():
     limits = MotionLimits(path_velocity=0.25, path_acceleration=1.5)
     program = read_program(text)
     run = ProgramRun(
-        ProgramSettings(scheduler=law, limits=limits), Source(program.blocks[2:]), parts.append
+        ProgramSettings(scheduler=law, limits=limits),
+        BlockReader(program.blocks[2:]),
+        parts.append,
     )
     assert [len(chunk) for chunk, _ in run._chunks()] == [3, 3, 0]
 

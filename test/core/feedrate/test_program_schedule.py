@@ -23,7 +23,6 @@ from fuzzycnc_ros.core.feedrate.gcode.writer import write_program
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.trajectory import limit_motion
 from fuzzycnc_ros.core.feedrate.schedule import program_run
-from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantFeed, ConstantNormalAcceleration
 from fuzzycnc_ros.core.feedrate.schedule.program_schedule import (
     ProgramScheduler,
     rest_to_rest,
@@ -31,6 +30,7 @@ from fuzzycnc_ros.core.feedrate.schedule.program_schedule import (
     straight_time,
 )
 from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import ConstantFeed, ConstantNormalAcceleration
 
 LIMITS = MotionLimits(
     path_velocity=0.25, path_acceleration=1.5, velocity=(0.25,) * 3, acceleration=(4.0,) * 3

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantFeed, ConstantNormalAcceleration
 from fuzzycnc_ros.core.feedrate.schedule.program_run import stream_ratio
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import ConstantFeed, ConstantNormalAcceleration
 from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import ToleranceFeed
 from fuzzycnc_ros.papers.feedrate import (
     RATIO_SETS,

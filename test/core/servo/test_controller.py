@@ -10,10 +10,10 @@ import pytest
 
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig, LatheAxisConfig
 from fuzzycnc_ros.core.servo.axis_control import make_controller
-from fuzzycnc_ros.core.servo.baselines import CascadeController, PidController
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 from fuzzycnc_ros.core.servo.filtered_rate import Integrator
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning, VariableUniverseParams
+from fuzzycnc_ros.core.servo.pid_cascade import CascadeController, PidController
 from fuzzycnc_ros.core.servo.profile import ProfileLimits, point_to_point
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
 from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, LatheAxis

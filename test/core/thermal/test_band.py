@@ -9,7 +9,7 @@ from hypothesis.extra.numpy import arrays
 from fuzzycnc_ros.core.thermal.band import (
     GROWTHS,
     WIDTH,
-    Band,
+    PredictionBand,
     coverage,
     fitted_band,
     held_out_deviation,
@@ -24,7 +24,7 @@ from fuzzycnc_ros.simulation.thermal.duties import record_runs
 
 TRAINING = ('D0', 'T1', 'D0b')
 UNSEEN = ('T2', 'T3')
-BAND = Band(deviation=np.array([1e-6, 3e-6]), growth=2.0)
+BAND = PredictionBand(deviation=np.array([1e-6, 3e-6]), growth=2.0)
 
 # Whole numbers of 1e-12: halves and squares of the least doubles are none any more.
 residuals = arrays(

@@ -16,9 +16,10 @@ from campaign.live_graphs import MACHINE, MAKES_TIME, LiveGraph
 from campaign.rogue_nodes import FALSE, STRANGER, Strangers, strange_word
 from campaign.scenario import Stage
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros.bring_up import NodeSpec
-from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
+from fuzzycnc_ros.runtime.enums import CompensationState
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     Compensation,
@@ -76,7 +77,7 @@ class ThermalGraph(LiveGraph):
             self._applied is not None
             and self._told is not None
             and self._error is not None
-            and self._applied.status == AppliedStatus.FOLLOWING
+            and self._applied.status == OffsetStatus.FOLLOWING
             and self._told.state == CompensationState.ACTIVE
             and self._error.valid
             and bool(np.abs(self._applied.offset).max() > AT_WORK)

@@ -20,7 +20,8 @@ from campaign.scenario import (
     Ends,
     Scenario,
 )
-from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
+from fuzzycnc_ros.runtime.enums import CompensationState
 from fuzzycnc_ros.runtime.records import SECOND
 
 ROUNDING = 1e-12
@@ -113,7 +114,7 @@ def _safety(
         command, error = _newest(told, item.place), _newest(valid, item.place)
         fresh = error is not None and now - error.stamp <= FRESH * SECOND
         follows = (
-            item.record.status == AppliedStatus.FOLLOWING
+            item.record.status == OffsetStatus.FOLLOWING
             and command is not None
             and command.state == CompensationState.ACTIVE
             and now < command.valid_until
@@ -136,7 +137,7 @@ def _times(
     A command that holds is the compensator's affair: on a busy computer an error may be late at
     any time. The machine side answers for the time in which it follows none, in all scenarios.
     """
-    following = [item.record.status == AppliedStatus.FOLLOWING for item in applied]
+    following = [item.record.status == OffsetStatus.FOLLOWING for item in applied]
     alone = [now or led for now, led in zip(safe, following, strict=True)]
     by_itself = _longest_unsafe(applied, alone, scenario.loses)
     in_all = _longest_unsafe(applied, safe, scenario.loses)

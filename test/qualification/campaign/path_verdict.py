@@ -12,8 +12,7 @@ from campaign.evidence import Evidence, Recorded, Window
 from campaign.measured import MICRO, Measured, changes
 from campaign.programmed import Programmed
 from campaign.scenario import RESTING, SCHEDULER, Ends, Scenario
-from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryInputConfig
-from fuzzycnc_ros.runtime.enums import TrajectoryStatus
+from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryInputConfig, TrajectoryStatus
 from fuzzycnc_ros.runtime.records import SECOND, Floats
 
 GUARD = TrajectoryInputConfig()

@@ -9,10 +9,10 @@ import numpy as np
 import rclpy
 
 from campaign.relay import record_types
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import STREAM
 from fuzzycnc_ros.runtime.convert import encode
-from fuzzycnc_ros.runtime.enums import AppliedStatus
 from fuzzycnc_ros.runtime.records import SECOND, AxisCommand, Compensation, Record
 
 STRANGE_EPOCH = 10**6
@@ -30,7 +30,7 @@ FORGED = 2**61
 FALSE: Mapping[str, Mapping[str, Any]] = {
     'thermal_error': {'error': 45e-6},
     'machine_state': {'offsets_allowed': False},
-    'compensation_applied': {'epoch': FORGED, 'status': int(AppliedStatus.FOLLOWING)},
+    'compensation_applied': {'epoch': FORGED, 'status': int(OffsetStatus.FOLLOWING)},
 }
 """What strangers say where they do not command: to be followed, to stop it, to end it for ever."""
 

@@ -10,7 +10,7 @@ import pytest
 
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
-from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantFeed
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import ConstantFeed
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.motion.contouring import simulate_contouring
 from fuzzycnc_ros.studies.page.document import to_document

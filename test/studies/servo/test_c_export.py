@@ -11,8 +11,8 @@ import subprocess
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.servo.baselines import CascadeController, PidController
 from fuzzycnc_ros.core.servo.built_in import built_in_controller
+from fuzzycnc_ros.core.servo.pid_cascade import CascadeController, PidController
 from fuzzycnc_ros.core.servo.variable_universe import (
     ContractedSurface,
     LinearSurface,

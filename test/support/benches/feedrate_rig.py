@@ -17,9 +17,13 @@ from fuzzycnc_ros.components.motion.tool_paths import (
 )
 from fuzzycnc_ros.core.feedrate.path.curves import trident
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
-from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryInput, TrajectoryPart
+from fuzzycnc_ros.core.inputs.trajectory_input import (
+    TrajectoryInput,
+    TrajectoryPart,
+    TrajectoryStatus,
+)
 from fuzzycnc_ros.runtime.component import Emission
-from fuzzycnc_ros.runtime.enums import MachineMode, TrajectoryStatus
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.host import MachineTick
 from fuzzycnc_ros.runtime.provenance import configuration_record, event_record
 from fuzzycnc_ros.runtime.records import (

@@ -10,7 +10,8 @@ from benches.line_control import LineControl
 from fuzzycnc_ros.adapters.opcua.offset_lines import LineLimits, LineStatus
 from fuzzycnc_ros.adapters.opcua.opcua_bridge import OpcuaBridge, OpcuaBridgeConfig
 from fuzzycnc_ros.core.inputs.lines import Lines, Travel
-from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import nanoseconds
 
 AXES = ('X', 'Z')
@@ -133,5 +134,5 @@ def settled(offset=(10, -20), **parameters):
     rig.command(offset)
     rig.run(5.0)
     assert rig.at(offset), (rig.control.applied, rig.last)
-    assert rig.last.status == AppliedStatus.FOLLOWING
+    assert rig.last.status == OffsetStatus.FOLLOWING
     return rig

@@ -10,9 +10,10 @@ from benches.component_bench import Bench
 from benches.offset_thread import OffsetLimits, OffsetThread
 
 from fuzzycnc_ros.adapters.linuxcnc.linuxcnc_bridge import LinuxcncBridge, LinuxcncBridgeConfig
-from fuzzycnc_ros.adapters.linuxcnc.status import ControllerStatus
+from fuzzycnc_ros.adapters.linuxcnc.status import LinuxcncStatus
 from fuzzycnc_ros.core.inputs.lines import Travel
-from fuzzycnc_ros.runtime.enums import AppliedStatus, MachineMode
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
+from fuzzycnc_ros.runtime.enums import MachineMode
 from fuzzycnc_ros.runtime.records import nanoseconds
 
 AXES = ('X', 'Y', 'Z')
@@ -77,7 +78,7 @@ class Controller:
         return self._status(ready)
 
     def _status(self, ready):
-        return ControllerStatus(
+        return LinuxcncStatus(
             mode=MachineMode.ON if self.on else MachineMode.OFF,
             homed=self.homed,
             ready=ready,
@@ -210,5 +211,5 @@ def settled(offset=(10, -20, 30), *, controller=None, **parameters):
     rig.command(offset)
     rig.run(2.0)
     assert rig.at(offset)
-    assert rig.last.status == AppliedStatus.FOLLOWING
+    assert rig.last.status == OffsetStatus.FOLLOWING
     return rig

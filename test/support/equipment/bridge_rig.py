@@ -8,10 +8,10 @@ from typing import Any, ClassVar
 import numpy as np
 from lifecycle_msgs.msg import Transition
 
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode
-from fuzzycnc_ros.runtime.enums import AppliedStatus
 from fuzzycnc_ros.runtime.records import (
     Compensation,
     CompensationApplied,
@@ -66,7 +66,7 @@ class BridgeRig:
     @property
     def allowed(self) -> bool:
         """Whether commands are followed."""
-        followed = self.last.status != AppliedStatus.REFUSED
+        followed = self.last.status != OffsetStatus.REFUSED
         return followed and self.states[-1].offsets_allowed
 
     def change(self, transition: int, machine: str = 'mill') -> bool:
@@ -128,6 +128,6 @@ class BridgeRig:
     def refused(self, text: str) -> None:
         """Wait until commands are refused because of something."""
         self.until(
-            lambda: self.last.status == AppliedStatus.REFUSED and text in self.last.reason,
+            lambda: self.last.status == OffsetStatus.REFUSED and text in self.last.reason,
             f'refused: {text}',
         )

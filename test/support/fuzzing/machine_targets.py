@@ -18,8 +18,9 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachine,
     SimulatedMachineConfig,
 )
+from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryPart
-from fuzzycnc_ros.runtime.enums import AppliedStatus, CompensationState
+from fuzzycnc_ros.runtime.enums import CompensationState
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisCommand,
@@ -104,7 +105,7 @@ class MachineTarget(Target):
         told = self.read_back(bench)
         good = self.good('compensation', told.stamp, random.Random(0))
         bench.component.on_compensation(replace(good, epoch=min(told.epoch + 1, 2**64 - 1)))
-        assert self.read_back(bench).status == AppliedStatus.FOLLOWING, bench.health()
+        assert self.read_back(bench).status == OffsetStatus.FOLLOWING, bench.health()
 
     def check(self, bench):
         for item in bench.records('compensation_applied'):
@@ -298,7 +299,7 @@ class BridgeTarget(CopiedTarget):
         good = self.good('compensation', nanoseconds(rig.time), random.Random(0))
         rig.bridge.on_compensation(replace(good, epoch=min(told.epoch + 1, 2**64 - 1)))
         rig.run(10.0)
-        assert rig.last.status == AppliedStatus.FOLLOWING, bench.health()
+        assert rig.last.status == OffsetStatus.FOLLOWING, bench.health()
         assert rig.at(1e6 * good.offset), rig.last
 
     def check(self, bench):

@@ -13,7 +13,8 @@ from fuzzing.targets import CopiedTarget, work
 from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.components.motion.joint_trajectory_bridge import JointTrajectoryBridge
 from fuzzycnc_ros.components.servo.servo_controller import ServoController
-from fuzzycnc_ros.runtime.enums import MachineMode, ServoStatus, TrajectoryStatus
+from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryStatus
+from fuzzycnc_ros.runtime.enums import MachineMode, ServoStatus
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisState,

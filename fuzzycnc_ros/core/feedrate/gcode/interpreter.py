@@ -14,7 +14,7 @@ from fuzzycnc_ros.core.feedrate.gcode.arcs import ABSOLUTE_MISFIT
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Note, Role
 from fuzzycnc_ros.core.feedrate.gcode.expressions import Expression, ExpressionError
 from fuzzycnc_ros.core.feedrate.gcode.lexer import Line, Word, resolved
-from fuzzycnc_ros.core.feedrate.gcode.modal import State, least_feed
+from fuzzycnc_ros.core.feedrate.gcode.modal import ModalState, least_feed
 from fuzzycnc_ros.core.feedrate.gcode.motion import (
     NO_PLACE,
     CurveBlock,
@@ -41,14 +41,14 @@ from fuzzycnc_ros.core.feedrate.gcode.segments import (
 _LETTERS = '@^'
 
 
-def _cartesian(line: Line, state: State) -> Line:
+def _cartesian(line: Line, state: ModalState) -> Line:
     """Return a line with X and Y in place of `@` and `^`.
 
     Parameters
     ----------
     line : Line
         What the line says, with a radius or an angle.
-    state : State
+    state : ModalState
         Modal state before it; a part that is left out stays as it is.
 
     Returns
@@ -66,7 +66,7 @@ def _cartesian(line: Line, state: State) -> Line:
     return found
 
 
-def _xy(value: dict[str, float | None], state: State) -> tuple[float | None, float | None]:
+def _xy(value: dict[str, float | None], state: ModalState) -> tuple[float | None, float | None]:
     """Return X and Y as the line would have to say them."""
     radius, angle = value.get('@', math.nan), value.get('^', math.nan)
     if radius is None or angle is None or 'X' in value or 'Y' in value:
@@ -132,7 +132,7 @@ class Interpreter:
 
     Attributes
     ----------
-    state : State
+    state : ModalState
         Modal state after the last line.
     parameters : Parameters
         Values that the program has set.
@@ -147,7 +147,7 @@ class Interpreter:
         length_unit: float = modal.MILLIMETRE,
         outline: Outline = _NO_OUTLINE,
     ) -> None:
-        self.state = modal.State(length_unit)
+        self.state = modal.ModalState(length_unit)
         self._jumps = outline.jumps
         self._curve: CurveBlock | None = None
         self._held: list[Block] = []
@@ -641,13 +641,13 @@ class _GWords:
 
     Parameters
     ----------
-    state : State
+    state : ModalState
         Modal state that they change.
     say : callable
         Told what is passed through.
     """
 
-    def __init__(self, state: modal.State, say: Callable[[str], None]) -> None:
+    def __init__(self, state: modal.ModalState, say: Callable[[str], None]) -> None:
         self._state = state
         self._say = say
 

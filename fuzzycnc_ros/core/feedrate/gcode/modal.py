@@ -215,7 +215,7 @@ class Cycle:
     retract: float | None = None
 
 
-class State:
+class ModalState:
     """Modal state of a controller, and where the tool stands.
 
     Attributes

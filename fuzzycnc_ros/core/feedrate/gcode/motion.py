@@ -25,7 +25,7 @@ from fuzzycnc_ros.core.feedrate.gcode.arcs import (
     fits,
 )
 from fuzzycnc_ros.core.feedrate.gcode.lexer import Line, Word
-from fuzzycnc_ros.core.feedrate.gcode.modal import INCH, Cycle, State
+from fuzzycnc_ros.core.feedrate.gcode.modal import INCH, Cycle, ModalState
 from fuzzycnc_ros.core.feedrate.gcode.segments import (
     ArcSegment,
     DwellSegment,
@@ -60,7 +60,7 @@ def named_axes(line: Line, relative: bool = False) -> str:
     )
 
 
-def move(line: Line, number: int, state: State) -> Segment | None:
+def move(line: Line, number: int, state: ModalState) -> Segment | None:
     """Return the segment of a line with axis words, and move the state on.
 
     Parameters
@@ -69,7 +69,7 @@ def move(line: Line, number: int, state: State) -> Segment | None:
         What the line says; its G, M and F words are in the state already.
     number : int
         Its number.
-    state : State
+    state : ModalState
         Modal state; the position moves on.
 
     Returns
@@ -140,7 +140,7 @@ def move(line: Line, number: int, state: State) -> Segment | None:
 
 
 def _somewhere(
-    line: Line, start: list[float], target: list[float], state: State
+    line: Line, start: list[float], target: list[float], state: ModalState
 ) -> tuple[list[float], list[float]]:
     """Return a start and an end that are as far apart as those of a line without a place.
 
@@ -172,7 +172,7 @@ DWELL_MAX = 1e7
 """Longest wait [s]: four months."""
 
 
-def dwell(line: Line, number: int, state: State) -> DwellSegment | None:
+def dwell(line: Line, number: int, state: ModalState) -> DwellSegment | None:
     """Return the wait of a line with G4: P, else X, U or F, in seconds.
 
     Printers take S in seconds and P in milliseconds.  None where the program does not tell how
@@ -196,14 +196,14 @@ def dwell(line: Line, number: int, state: State) -> DwellSegment | None:
     return DwellSegment(number, place, place, None, False, False, state.run_of('dwell'), duration)
 
 
-def _coordinate(axis: int, value: float | None, before: float, state: State) -> float:
+def _coordinate(axis: int, value: float | None, before: float, state: ModalState) -> float:
     if value is None:
         return math.nan
     length = state.length(axis, value, state.absolute)
     return length if state.absolute else before + length
 
 
-def _turn(letter: str, value: float | None, state: State) -> bool:
+def _turn(letter: str, value: float | None, state: ModalState) -> bool:
     """Move another axis; return whether it may turn."""
     before = state.others.get(letter)
     if value is None:
@@ -217,7 +217,7 @@ def _turn(letter: str, value: float | None, state: State) -> bool:
     return value != 0.0
 
 
-def _lose_relative(line: Line, moved: str, state: State) -> None:
+def _lose_relative(line: Line, moved: str, state: ModalState) -> None:
     """Forget X, Y and Z where U, V and W may be their increments, as on lathes of Fanuc.
 
     A line that names X as well as U means two axes.
@@ -228,7 +228,7 @@ def _lose_relative(line: Line, moved: str, state: State) -> None:
             state.position[_XYZ.index(axis)] = math.nan
 
 
-def _check_feed(number: int, state: State) -> None:
+def _check_feed(number: int, state: ModalState) -> None:
     if state.motion == 0 or state.motion is None or state.feed_mode != 94:
         return
     if state.feed == 0.0 or (state.feed is None and state.feed_known):
@@ -238,7 +238,7 @@ def _check_feed(number: int, state: State) -> None:
         )
 
 
-def _why(motion: int | None, strange: list[str], state: State) -> str:
+def _why(motion: int | None, strange: list[str], state: ModalState) -> str:
     if strange:
         return f'a motion with {", ".join(sorted(strange))}'
     if state.polar:
@@ -253,7 +253,7 @@ def _why(motion: int | None, strange: list[str], state: State) -> str:
 def _arc(
     line: Line,
     number: int,
-    state: State,
+    state: ModalState,
     common: tuple[Point, Point, float | None, bool, int],
 ) -> ArcSegment:
     """Return the arc of a line: by its centre (I, J, K), or by its radius (R, CR=)."""
@@ -309,12 +309,12 @@ def _arc(
     return arc
 
 
-def _misfit(state: State) -> float:
+def _misfit(state: ModalState) -> float:
     return MISFIT_INCH if state.length_unit == INCH else MISFIT_MILLIMETRE
 
 
 def _remedy(
-    state: State,
+    state: ModalState,
     words: dict[str, float | None],
     arc: tuple[tuple[float, float], tuple[float, float], tuple[float, float]],
 ) -> str:
@@ -352,7 +352,7 @@ TURNS_IN_ALL = 10_000
 """Turns of a program beyond the first of each arc: more would take minutes to schedule."""
 
 
-def _extra_turns(words: dict[str, float | None], number: int, state: State) -> int:
+def _extra_turns(words: dict[str, float | None], number: int, state: ModalState) -> int:
     """Return the full turns on top: P counts all begun turns, TURN= the ones on top."""
     turns = words.get('TURN')
     first = 0.0
@@ -391,7 +391,7 @@ the operator.
 """
 
 
-def begin_cycle(code: int, state: State) -> None:
+def begin_cycle(code: int, state: ModalState) -> None:
     """Take a cycle's G word: R and Z stay in effect only where the same cycle goes on."""
     if state.cycle is None or state.motion != -1:
         state.cycle = Cycle(code, state.position[PLANES[state.plane][2]])
@@ -399,19 +399,19 @@ def begin_cycle(code: int, state: State) -> None:
         state.cycle = Cycle(code, state.cycle.start)
 
 
-def runs_cycle(line: Line, state: State) -> bool:
+def runs_cycle(line: Line, state: ModalState) -> bool:
     """Return True if a line with a cycle in effect runs it: it names an axis."""
     return state.cycle is not None and any(word.letter in 'XYZABCUVW' for word in line.words)
 
 
-def run_cycle(line: Line, state: State) -> bool:
+def run_cycle(line: Line, state: ModalState) -> bool:
     """Move the state on by a cycle; return whether its end is known in all axes.
 
     Parameters
     ----------
     line : Line
         What the line says; its G, M and F words are in the state already.
-    state : State
+    state : ModalState
         Modal state with a cycle in effect; axes whose end is unknown are lost.
     """
     cycle = state.cycle
@@ -436,7 +436,7 @@ def run_cycle(line: Line, state: State) -> bool:
 
 
 def _length(
-    letter: str, value: dict[str, float | None], before: float | None, state: State
+    letter: str, value: dict[str, float | None], before: float | None, state: ModalState
 ) -> float | None:
     if letter not in value:
         return before
@@ -444,7 +444,7 @@ def _length(
     return None if number is None else number * state.length_unit
 
 
-def _above(state: State, axis: int, value: dict[str, float | None]) -> float:
+def _above(state: ModalState, axis: int, value: dict[str, float | None]) -> float:
     """Return where the last hole lies; L repeats relative ones (Fanuc's K is not followed)."""
     before = state.position[axis]
     if _XYZ[axis] not in value:
@@ -461,7 +461,7 @@ def _above(state: State, axis: int, value: dict[str, float | None]) -> float:
     return before + length * round(repeats)
 
 
-def _height(cycle: Cycle, state: State) -> float:
+def _height(cycle: Cycle, state: ModalState) -> float:
     """Return where the axis across the plane ends."""
     if cycle.retract is None:
         return nan
@@ -486,11 +486,11 @@ class CurveBlock(ABC):
     ----------
     line : int
         Number of its first line.
-    state : State
+    state : ModalState
         Modal state before it; its position is the start.
     """
 
-    def __init__(self, line: int, state: State) -> None:
+    def __init__(self, line: int, state: ModalState) -> None:
         self.line = line
         self.state = state
         self.start = tuple(state.position)
@@ -551,7 +551,7 @@ class PlaneCurveBlock(CurveBlock):
     are clamped and even, as LinuxCNC sets them.
     """
 
-    def __init__(self, line: int, state: State) -> None:
+    def __init__(self, line: int, state: ModalState) -> None:
         super().__init__(line, state)
         self.order = _FEWEST_ORDER
         self.control.append(list(self.start))
@@ -598,7 +598,7 @@ class KnotCurveBlock(CurveBlock):
     The first control point is where the tool stands, or is left out.
     """
 
-    def __init__(self, line: int, state: State) -> None:
+    def __init__(self, line: int, state: ModalState) -> None:
         super().__init__(line, state)
         self.order = 4
         self.knot: list[float] = []

@@ -4,7 +4,7 @@
 
 from math import isfinite
 
-from fuzzycnc_ros.core.feedrate.gcode.modal import INCH, State
+from fuzzycnc_ros.core.feedrate.gcode.modal import INCH, ModalState
 
 ARGUMENTS = 30
 """`#1` to `#30` belong to the subroutine that runs."""
@@ -25,7 +25,7 @@ class Parameters:
 
     Parameters
     ----------
-    state : State
+    state : ModalState
         Modal state, for the parameters that the controller sets from it.
 
     Attributes
@@ -39,7 +39,7 @@ class Parameters:
     set is unknown.  `#<_feed>` is unknown always: its value is what scheduling changes.
     """
 
-    def __init__(self, state: State) -> None:
+    def __init__(self, state: ModalState) -> None:
         self._state = state
         self._numbered: dict[int, float | None] = {}
         self._global: dict[str, float | None] = {}

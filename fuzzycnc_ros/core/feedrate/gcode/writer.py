@@ -82,7 +82,7 @@ _MOVES = (Role.FEED, Role.KEPT, Role.RAPID)
 _ELSEWHERE = -1  # a pass of a line that is not in the program: of a subroutine's own file
 
 
-class _Entry:
+class _FeedLine:
     """A line: what it looks like, and the feed that holds for each of its passes."""
 
     __slots__ = ('block', 'free', 'most', 'moves', 'written')
@@ -132,7 +132,7 @@ class _PassMerger:
     def __init__(self, active: float | None) -> None:
         self._start = active
         self._before: float | None = None  # feed of the program after the last pass
-        self._entry: dict[int, _Entry] = {}
+        self._entry: dict[int, _FeedLine] = {}
         # Of each pass its line, the feed that it asks for and that of the program; NaN for none.
         self._line = array('q')
         self._target = array('d')
@@ -148,7 +148,7 @@ class _PassMerger:
         if block.text:
             entry = self._entry.get(block.line)
             if entry is None:
-                entry = self._entry[block.line] = _Entry(block)
+                entry = self._entry[block.line] = _FeedLine(block)
             entry.take(block, block.feed if target is None else target)
         self._line.append(block.line if block.text else _ELSEWHERE)
         self._target.append(nan if target is None else target)
@@ -166,8 +166,8 @@ class _PassMerger:
     def _corrected(self) -> bool:
         """Run all passes; return whether a line got a word, or a lower one, on the way."""
         changed, active = False, self._start
-        setter: _Entry | None = None  # line whose new word is in effect
-        rapid: _Entry | None = None  # first rapid after what was scheduled
+        setter: _FeedLine | None = None  # line whose new word is in effect
+        rapid: _FeedLine | None = None  # first rapid after what was scheduled
         for line, target, own, sets in zip(
             self._line, self._target, self._own, self._sets, strict=True
         ):
@@ -268,7 +268,7 @@ def write_blocks(blocks: Iterable[tuple[Block, float | None]]) -> Iterator[str]:
     ValueError
         If a feed is not above 0, or is given for a block whose feed is not to be chosen.
     """
-    writer, merger = _Writer(), None
+    writer, merger = _FeedWriter(), None
     for block, feed in blocks:
         if merger is None and block.followed:
             yield from writer.settle(block)
@@ -280,7 +280,7 @@ def write_blocks(blocks: Iterable[tuple[Block, float | None]]) -> Iterator[str]:
     yield from writer.flush() if merger is None else merger.lines()
 
 
-class _Writer:
+class _FeedWriter:
     """Puts feed words where the feed changes.
 
     Before a cycle or a call the program's own feed has to be in effect again, but their lines

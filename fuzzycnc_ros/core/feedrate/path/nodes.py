@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array, dot_products
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
-from fuzzycnc_ros.core.feedrate.schedule.plain import Scheduler
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import Scheduler
 
 _Bools = NDArray[np.bool_]
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedule.plain import Scheduler
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import Scheduler
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.path.reference_path import ReferencePath

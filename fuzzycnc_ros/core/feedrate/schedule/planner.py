@@ -24,7 +24,7 @@ from fuzzycnc_ros.core.feedrate.motion.stream import (
 from fuzzycnc_ros.core.feedrate.motion.sweeps import Braking
 from fuzzycnc_ros.core.feedrate.motion.trajectory import MotionSamples, Trajectory
 from fuzzycnc_ros.core.feedrate.schedule.feeds import FeedPlan
-from fuzzycnc_ros.core.feedrate.schedule.plain import Scheduler
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import Scheduler
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.path.reference_path import ReferencePath

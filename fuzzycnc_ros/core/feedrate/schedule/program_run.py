@@ -29,8 +29,8 @@ from fuzzycnc_ros.core.feedrate.path.nodes import (
 )
 from fuzzycnc_ros.core.feedrate.path.reference_path import PathBuilder, ReferencePath
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedule.plain import Scheduler
 from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import Scheduler
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.path.reference_path import ReferencePath
@@ -255,7 +255,7 @@ Observer = Callable[[ScheduledPath], None]
 """Told of every stretch when its feeds are settled, in order."""
 
 
-class Source:
+class BlockReader:
     """Blocks one by one, of which the next two may be looked at."""
 
     def __init__(self, blocks: Iterable[Block]) -> None:
@@ -293,13 +293,13 @@ class ProgramRun:
     ----------
     settings : ProgramSettings
         How.
-    source : Source
+    source : BlockReader
         Where its blocks come from; the next one begins the run.
     observe : callable
         Told of every stretch when its feeds are settled.
     """
 
-    def __init__(self, settings: ProgramSettings, source: Source, observe: Observer) -> None:
+    def __init__(self, settings: ProgramSettings, source: BlockReader, observe: Observer) -> None:
         self._settings = settings
         self._source = source
         self._observe = observe

@@ -28,10 +28,10 @@ from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.path.reference_path import ReferencePath
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
 from fuzzycnc_ros.core.feedrate.schedule.program_run import (
+    BlockReader,
     Observer,
     ProgramRun,
     ScheduledPath,
-    Source,
 )
 from fuzzycnc_ros.core.feedrate.schedule.program_settings import AXIS_COUNT, ProgramSettings
 from fuzzycnc_ros.core.feedrate.schedule.tolerance_feed import APPROACH
@@ -416,7 +416,7 @@ class _LoneLines:
         self._wanted: dict[float, float] = {}
         self._gathered: list[tuple[LineSegment, float]] = []
 
-    def next_of(self, source: Source) -> LineSegment | None:
+    def next_of(self, source: BlockReader) -> LineSegment | None:
         """Return the line that comes next, None if it is none, or a path has to be made of it."""
         line = source.lone_line if self._plain else None
         return None if line is None or line.length < _SHORTEST else line
@@ -514,7 +514,7 @@ class ProgramScheduler:
     --------
     >>> from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
     >>> from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader
-    >>> from fuzzycnc_ros.core.feedrate.schedule.plain import ConstantNormalAcceleration
+    >>> from fuzzycnc_ros.core.feedrate.schedule.scheduler import ConstantNormalAcceleration
     >>> scheduler = ProgramScheduler(
     ...     ProgramSettings(
     ...         scheduler=ConstantNormalAcceleration(feed_max=0.2, normal_acceleration=0.05),
@@ -558,7 +558,7 @@ class ProgramScheduler:
         ValueError
             If the blocks make no path.
         """
-        source, times, own = Source(blocks), self.times, self._settings.own_corners
+        source, times, own = BlockReader(blocks), self.times, self._settings.own_corners
         while (block := source.next) is not None:
             if block.segment is None or not block.segment.schedulable:
                 source.take()

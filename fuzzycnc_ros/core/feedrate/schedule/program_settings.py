@@ -12,7 +12,7 @@ import numpy as np
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.schedule.feeds import desired_feed
-from fuzzycnc_ros.core.feedrate.schedule.plain import Scheduler
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import Scheduler
 
 AXIS_COUNT = 3
 """Axes of a part program: X, Y and Z."""

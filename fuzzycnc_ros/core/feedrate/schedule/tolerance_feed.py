@@ -15,7 +15,7 @@ from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.path.sampled_path import WINDOW_EDGE, SampledPath
 from fuzzycnc_ros.core.feedrate.path.windows import window_maximum
-from fuzzycnc_ros.core.feedrate.schedule.plain import (
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import (
     CURVATURE_FLOOR,
     WHOLE_PATH,
     Reach,

@@ -23,7 +23,7 @@ LAG = 0.02
 """Delay of the node behind the present [s]: messages take their time to arrive."""
 
 
-class PresentNode(ManagedComponentNode):
+class StreamingNode(ManagedComponentNode):
     """Serve a component whose configuration has `lead` and `chunk`, up to the present."""
 
     def __init__(self, component_type: type[Component]) -> None:

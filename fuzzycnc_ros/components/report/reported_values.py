@@ -17,7 +17,7 @@ NO_VALUE, TOO_OLD = 'no value', 'too old'
 
 
 @dataclass(frozen=True)
-class Told:
+class ReportedValue:
     """One value.
 
     Attributes
@@ -41,7 +41,7 @@ class Told:
     trouble: str
 
 
-def told(document: Mapping[str, Any], age_max: float) -> Iterator[Told]:
+def told(document: Mapping[str, Any], age_max: float) -> Iterator[ReportedValue]:
     """Yield the values of a report.
 
     Parameters
@@ -66,8 +66,10 @@ def told(document: Mapping[str, Any], age_max: float) -> Iterator[Told]:
         yield _told(SPINDLE, '', 'rpm', spindle['speed_rpm'], spindle['status'], old)
 
 
-def _told(kind: str, name: str, unit: str, value: float | None, status: str, old: bool) -> Told:
+def _told(
+    kind: str, name: str, unit: str, value: float | None, status: str, old: bool
+) -> ReportedValue:
     trouble = TOO_OLD if old else '' if status == 'ok' else status
     if value is None and not trouble:
         trouble = NO_VALUE
-    return Told(kind, name, unit, None if trouble else value, trouble)
+    return ReportedValue(kind, name, unit, None if trouble else value, trouble)

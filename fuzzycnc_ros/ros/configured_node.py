@@ -16,7 +16,7 @@ from fuzzycnc_ros.runtime.host import ExecutorConfig
 C = TypeVar('C', bound=ExecutorConfig)
 
 
-class PlainNode(Generic[C]):
+class ConfiguredNode(Generic[C]):
     """Base of the nodes without a component: their parameters, what they say of themselves.
 
     Parameters

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Controllers for comparison, behind the same interface: PID and P-PI cascade.
+"""PID controller and P-PI cascade of an axis.
 
 Their defaults are for the lathe axis of [long2014]: found by differential evolution on steps
 from 20 um to 190 mm with friction, gains from half to one and a half times nominal and a step of
