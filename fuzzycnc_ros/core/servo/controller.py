@@ -12,6 +12,7 @@ import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.servo.axis import LinearAxis
+from fuzzycnc_ros.core.servo.constants import Constant
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits, FeedbackWatch
 from fuzzycnc_ros.core.servo.friction import ReferenceFriction
 
@@ -247,6 +248,26 @@ class AxisController(ABC):
         self._commit(duty, position)
         return duty
 
+    def constants(self) -> list[Constant]:
+        """Return the numbers that the controller computes with."""
+        friction = self._known or ReferenceFriction(0.0, 0.0)
+        return [
+            Constant('PERIOD', self.period, 's', 'Control period'),
+            Constant('DUTY_MAX', self.duty_max, '-', 'Largest magnitude of duty'),
+            Constant(
+                'DUTY_CHANGE_MAX', self._change_max, '-', 'Largest change of duty in a period'
+            ),
+            Constant('DIRECTION', self._direction, '-', 'Sign of the velocity of a positive duty'),
+            Constant(
+                'KEEPS_GAIN', self._keeps_gain, '', 'Whether a swing that grows is a fault at once'
+            ),
+            Constant(
+                'FRICTION_KNOWN', self._known is not None, '', 'Whether friction is fed forward'
+            ),
+            *friction.constants(),
+            *self.watch.constants(),
+        ]
+
     def _begin(self, position: float) -> None:
         """Begin at rest at a position [m] that the present duty holds."""
         self._friction = 0.0
@@ -258,13 +279,13 @@ class AxisController(ABC):
         """Take gain back where less of it is stable; else give up."""
         swing = self.watch.swing
         less = _TAKEN_BACK * self._share
-        if self._keeps_gain or self._share < _LEAST or not self._settles(less):
+        if self._keeps_gain or self._share < _LEAST or not self.settles(less):
             self.watch.give_up_unstable()
             return
         self._share = less
         swing.start_over()
 
-    def _settles(self, share: float) -> bool:
+    def settles(self, share: float) -> bool:
         """Return True if the loop with the nominal axis is stable at a share of its gain.
 
         One with an integral that is fast for its bandwidth is not, however little is left.

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from math import gcd, inf, isfinite
 
 from fuzzycnc_ros.core.servo.axis import LinearAxis, response_lag, velocity_lag
+from fuzzycnc_ros.core.servo.constants import Constant
 from fuzzycnc_ros.core.servo.growing_swing import GrowingSwing
 
 _INCREMENTS = 32
@@ -268,6 +269,43 @@ class FeedbackWatch:
             if self._swings >= _SWINGS:
                 self.fault = self._unstable()
         self._end, self._since_end = end, 0
+
+    def constants(self) -> list[Constant]:
+        """Return the numbers that it computes with."""
+        return [
+            Constant('ERROR_MAX', self.limits.error_max, 'm', 'Largest believable error'),
+            Constant('LOAD', self.limits.load, '-', 'Largest load that is believed, as duty'),
+            Constant('JUMP', self._jump, 'm', 'Surprise of a reading that is believed'),
+            Constant('LEAP', self._leap, 'm', 'Way of the fastest axis in two periods'),
+            Constant(
+                'PER_COUNT', self._per_count, '1/m', 'Counts of the sensor per length; 0 for none'
+            ),
+            Constant('FULL_DUTY', self._full, '-', 'Duty from which on it is at its end'),
+            Constant(
+                'ANSWER_SHARE', self._fade, '-', 'Share of a new duty in the one that is answered'
+            ),
+            Constant('STILL_CHANGE', self._still, 'm', 'Way in a period that is rest'),
+            Constant('SPEED_SHARE', _SPEED_SHARE, '-', 'Share of a new reading in the speed'),
+            Constant('BAD_MAX', self.limits.bad_max, '', 'Bad readings in a row that are bridged'),
+            Constant(
+                'RUNAWAY_PERIODS',
+                self.limits.runaway_periods,
+                '',
+                'Periods of gaining speed against duty',
+            ),
+            Constant(
+                'END_PERIODS', self._swing_periods, '', 'Longest time between two ends of the duty'
+            ),
+            Constant('ENDS_MAX', _SWINGS, '', 'Changes from end to end of a loop that swings'),
+            Constant(
+                'ENDS_BEFORE_LOSS', _SWINGS_BEFORE_LOSS, '', 'Those that explain a lost reading'
+            ),
+            Constant(
+                'COUNT_CHANGES', _INCREMENTS, '', 'Changes after which their divisor is judged'
+            ),
+            Constant('COUNT_KINDS', _KINDS, '', 'Different sizes among them; at most 8'),
+            *self.swing.constants(),
+        ]
 
     def _still_off(self, position: float) -> bool:
         """Return True if a reading goes on smoothly from one that had jumped: an offset."""

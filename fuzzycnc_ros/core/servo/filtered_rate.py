@@ -10,6 +10,7 @@ import numpy as np
 
 from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.servo.constants import Constant
 
 STILL = 2e-3
 """Speed up to which an axis off its target counts as stuck [m/s]: three counts per period."""
@@ -60,6 +61,13 @@ class FilteredRate:
     def value(self) -> float:
         """Rate after the last reading [m/s]."""
         return self._value
+
+    def constants(self) -> list[Constant]:
+        """Return the numbers that it computes with."""
+        return [
+            Constant('FREQUENCY', self._frequency, '1/s', 'Control periods in a second'),
+            Constant('RATE_SHARE', self.share, '-', 'Share of a new difference in the rate'),
+        ]
 
     def coast(self) -> None:
         """Go on without a reading, at the same rate."""
@@ -115,6 +123,21 @@ class Integrator:
     def reset(self, value: float) -> None:
         """Start from a value [-], as duty."""
         self.value = value
+
+    def constants(self) -> list[Constant]:
+        """Return the numbers that it computes with."""
+        return [
+            Constant(
+                'INTEGRAL', self.gain, '1/m', 'What an error adds to the integral in a period'
+            ),
+            Constant('DEAD_ZONE', self._dead_zone, 'm', 'Error within which nothing is added'),
+            Constant(
+                'INTEGRAL_BAND', self._band, 'm', 'Error beyond which nothing is added in motion'
+            ),
+            Constant(
+                'STUCK_SPEED', self._still, 'm/s', 'Speed up to which the axis counts as stuck'
+            ),
+        ]
 
     def add(self, error: float, speed: float, saturated: bool, duty: float) -> None:
         """Add an error [m] at a speed [m/s], unless that took a cut duty [-] even further."""

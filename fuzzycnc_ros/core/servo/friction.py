@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from fuzzycnc_ros.core.servo.constants import Constant
+
 _MEMORY = 0.05
 """Time of motion over which the disturbance seen in it is averaged [s]."""
 
@@ -59,6 +61,13 @@ class MovingDisturbance:
         share = max(1.0 / self._count[way], self._share)
         self._seen[way] = before + (disturbance - before) * share
 
+    def constants(self) -> list[Constant]:
+        """Return the numbers that it computes with."""
+        return [
+            Constant('SEEN_SHARE', self._share, '-', 'Share of a new disturbance in its mean'),
+            Constant('SETTLE_PERIODS', self._settle, '', 'Motion before that is seen'),
+        ]
+
     def recall(self, way: int) -> float:
         """Return the mean disturbance [-] of motion in a direction, else in the other one."""
         return self._seen.get(way, self._seen.get(-way, self._first))
@@ -97,6 +106,13 @@ class ReferenceFriction:
     def reset(self) -> None:
         """Begin at rest."""
         self.way = 0
+
+    def constants(self) -> list[Constant]:
+        """Return the numbers that it computes with."""
+        return [
+            Constant('FRICTION_FORWARD', self._forward, '-', 'Duty of friction, forward'),
+            Constant('FRICTION_BACKWARD', self._backward, '-', 'The same, backward'),
+        ]
 
     def of(self, velocity: float, acceleration: float, error: float) -> float:
         """Return the friction [-] at a reference's motion [m/s, m/s^2] and an error [m]."""

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from fuzzycnc_ros.core import portable
+from fuzzycnc_ros.core.servo.constants import Constant
 
 _SLOW = 0.15
 """Time over which the mean of the error is taken [s]: what is slower is no swing."""
@@ -87,6 +88,21 @@ class GrowingSwing:
         self._peak = self._last_peak = self._first = 0.0
         self._swing = 0, 0.0
         self._driven = False
+
+    def constants(self) -> list[Constant]:
+        """Return the numbers that it computes with."""
+        return [
+            Constant('SWING_SHARE', self._share, '-', 'Share of a new error in its mean'),
+            Constant('SWING_LEAST', self._least, 'm', 'Peak from which on a swing counts'),
+            Constant('SWING_STEADY', _STEADY, 'm', 'Change of pace of a reference that is none'),
+            Constant('SWING_ALIKE', _ALIKE, '-', 'Ratio of times of swings that are alike'),
+            Constant('SWING_GROWS', _GROWS, '-', 'Ratio of sizes from which on a swing grows'),
+            Constant('SWING_DIES', _DIES, '-', 'Ratio of sizes up to which it is over'),
+            Constant('SWING_GROWN', _GROWN, '-', 'Ratio of the last to the first that grew'),
+            Constant('SWING_STAYS', _STAYS, '-', 'Ratio of sizes from which on it does not die'),
+            Constant('SWING_HALVES', _HALVES, '', 'Half swings in a row that have to grow'),
+            Constant('SWING_LASTS', _LASTS, '', 'Swings in a row that last'),
+        ]
 
     def add(self, error: float, reference: float) -> None:
         """Take an error and the reference [m] of one more period."""

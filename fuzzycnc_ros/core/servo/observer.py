@@ -20,6 +20,7 @@ import numpy as np
 from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.servo.axis import LinearAxis, velocity_lag
+from fuzzycnc_ros.core.servo.constants import Constant
 
 Predict = Callable[[tuple[float, ...], float, float], tuple[float, ...]]
 """Predictor of one period: states with the disturbance last, duty and reading in, states out."""
@@ -321,6 +322,14 @@ class ObserverDesign:
         seen = portable.matmul(covariance, reading)
         gain = portable.matmul(dynamics, seen) / (portable.matmul(reading, seen) + 1.0)
         return cls(dynamics, entry, reading, gain, position, velocity)
+
+    def constants(self) -> list[Constant]:
+        """Return the numbers that it computes with."""
+        return [
+            Constant('DISTURBANCE_GAIN', self.gain[-1], '1/m', 'Correction of disturbance'),
+            Constant('POSITION', self.position, '', 'Place of the position among the states'),
+            Constant('VELOCITY', self.velocity, '', 'Place of the velocity'),
+        ]
 
 
 _DOUBLINGS = 40

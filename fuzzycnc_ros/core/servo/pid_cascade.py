@@ -15,6 +15,7 @@ from typing import Any
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.servo.axis import LinearAxis
+from fuzzycnc_ros.core.servo.constants import Constant
 from fuzzycnc_ros.core.servo.controller import AxisController, ControllerStatus
 from fuzzycnc_ros.core.servo.filtered_rate import STILL, FilteredRate, Integrator, differenced_law
 from fuzzycnc_ros.core.servo.observer import DisturbanceObserver, ObserverNoise, observed_law
@@ -86,6 +87,21 @@ class PidController(AxisController):
         return differenced_law(
             self._rate, self._integral, self._proportional, self._derivative, self.period
         )
+
+    def constants(self) -> list[Constant]:
+        """Return the numbers that the controller computes with."""
+        return [
+            *super().constants(),
+            Constant('PROPORTIONAL', self._proportional, '1/m', 'Duty per error'),
+            Constant('DERIVATIVE', self._derivative, 's/m', 'Duty per error rate'),
+            Constant('SENSOR_LAG', self._late, 's', 'Lag of the sensor that is made up for'),
+            Constant(
+                'PER_VELOCITY', self._per_velocity, 's/m', 'Duty per velocity of the reference'
+            ),
+            Constant('PER_ACCELERATION', self._per_acceleration, 's2/m', 'Duty per acceleration'),
+            *self._integral.constants(),
+            *self._rate.constants(),
+        ]
 
     @property
     def status(self) -> ControllerStatus:
@@ -165,29 +181,48 @@ class CascadeController(AxisController):
         self._inner = velocity_gain / axis.gain
         self._per_velocity = 1.0 / axis.gain
         self._per_acceleration = axis.lag / axis.gain
-        self._observer = DisturbanceObserver(axis, noise)
+        self.observer = DisturbanceObserver(axis, noise)
         self._error = self._error_rate = 0.0
 
     def feedback_law(self) -> tuple[Array, Array, Array, float]:
         """Return the law from reading to duty; see `AxisController`."""
         rate_gain = self._inner
         error_gain = self._position_gain * (self._inner + self._per_velocity)
-        return observed_law(self._observer.design, error_gain, rate_gain)
+        return observed_law(self.observer.design, error_gain, rate_gain)
+
+    def constants(self) -> list[Constant]:
+        """Return the numbers that the controller computes with."""
+        return [
+            *super().constants(),
+            Constant('POSITION_GAIN', self._position_gain, '1/s', 'Velocity per error'),
+            Constant('VELOCITY_GAIN', self._inner, 's/m', 'Duty per error of velocity'),
+            Constant(
+                'VELOCITY_MAX',
+                self._velocity_max,
+                'm/s',
+                'Velocity that the position loop asks for',
+            ),
+            Constant(
+                'PER_VELOCITY', self._per_velocity, 's/m', 'Duty per velocity of the reference'
+            ),
+            Constant('PER_ACCELERATION', self._per_acceleration, 's2/m', 'Duty per acceleration'),
+            *self.observer.design.constants(),
+        ]
 
     @property
     def status(self) -> ControllerStatus:
         """State in the last period."""
-        return self._plain_status(self._error, self._error_rate, self._observer.disturbance)
+        return self._plain_status(self._error, self._error_rate, self.observer.disturbance)
 
     def _restart(self, position: float, duty: float) -> None:
-        self._observer.reset(position, duty)
+        self.observer.reset(position, duty)
 
     def _wanted(
         self, reference: float, position: float, velocity: float, acceleration: float
     ) -> float:
         if self._known is not None:
             self._friction = self._known.of(velocity, acceleration, self._error)
-        observer = self._observer
+        observer = self.observer
         state = observer.state
         error = self._error = reference - state[observer.position_place]
         self._error_rate = velocity - state[observer.velocity_place]
@@ -202,7 +237,7 @@ class CascadeController(AxisController):
         )
 
     def _commit(self, duty: float, position: float) -> None:
-        self._observer.advance(duty - self._friction, position)
+        self.observer.advance(duty - self._friction, position)
 
     def _bridge(self, duty: float) -> None:
-        self._observer.coast(duty - self._friction)
+        self.observer.coast(duty - self._friction)

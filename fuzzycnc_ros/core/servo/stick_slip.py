@@ -12,6 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import isfinite
 
+from fuzzycnc_ros.core.servo.constants import Constant
+
 
 @dataclass(frozen=True, kw_only=True)
 class StickSlipParams:
@@ -135,6 +137,37 @@ class StickSlipRelief:
         self._grow, self._fade = params.growth * period, params.decay * period
         self._settled = round(params.settle_time / period)
         self.reset(0.0)
+
+    def constants(self) -> list[Constant]:
+        """Return the numbers that it computes with."""
+        p = self.params
+        return [
+            Constant('STILL_BAND', p.still_band, 'm', 'Way within which the axis is still'),
+            Constant('PROOF', p.proof, '-', 'Change of duty that proves friction'),
+            Constant('HOLD_ERROR', p.hold_error, 'm', 'Mean error up to which it is held'),
+            Constant(
+                'LOOSE_ERROR', p.loose_error, 'm', 'Mean error beyond which it is dithered loose'
+            ),
+            Constant('REACHED_ERROR', p.reached_error, 'm', 'Mean error at which dithering ends'),
+            Constant('ZONE', p.zone, 'm', 'Error up to which it is dithered at all'),
+            Constant(
+                'START_AMPLITUDE', p.start_amplitude, '-', 'Amplitude that the dither begins with'
+            ),
+            Constant(
+                'AMPLITUDE_MAX', p.amplitude_max, '-', 'Largest amplitude; 0 turns dithering off'
+            ),
+            Constant('MEAN_SHARE', self._mean, '-', 'Share of a new value in mean error and duty'),
+            Constant('AMPLITUDE_GROWTH', self._grow, '-', 'Growth of the amplitude in a period'),
+            Constant('AMPLITUDE_DECAY', self._fade, '-', 'Its decay in a period'),
+            Constant(
+                'STILL_COUNT', self._still_count, '', 'Periods after which a still axis is judged'
+            ),
+            Constant(
+                'PATIENCE', self._patience, '', 'Periods for which it may be stuck off its target'
+            ),
+            Constant('HALF_WAVE', self._half, '', 'Periods of half a wave of the dither'),
+            Constant('SETTLED', self._settled, '', 'Periods near the target after which it ends'),
+        ]
 
     def reset(self, position: float, reference: float | None = None) -> None:
         """Forget what has been seen; the axis reads `position` [m]."""

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.servo.axis import LinearAxis
+from fuzzycnc_ros.core.servo.constants import Constant
 from fuzzycnc_ros.core.servo.controller import AxisController, ControllerStatus
 from fuzzycnc_ros.core.servo.feedback_watch import FeedbackLimits
 from fuzzycnc_ros.core.servo.filtered_rate import STILL, FilteredRate, Integrator, differenced_law
@@ -70,6 +71,21 @@ class ContractedSurface:
         """Return the duties [-] at errors [m] and error rates [m/s], which broadcast."""
         return np.asarray(self._scale * self._params.rules.surface(*self.inputs(error, rate)))
 
+    def constants(self) -> list[Constant]:
+        """Return the numbers that it computes with."""
+        p = self._params
+        return [
+            Constant('OUTPUT_SCALE', self._scale, '-', 'Duty of the whole output, with its sign'),
+            Constant('PER_ERROR', 1.0 / p.error_range, '1/m', 'Error on its universe'),
+            Constant('PER_RATE', 1.0 / p.rate_range, 's/m', 'Rate on its universe'),
+            Constant(
+                'ERROR_EXPONENT', p.error_exponent, '-', 'How the universe of the error shrinks'
+            ),
+            Constant('RATE_EXPONENT', p.rate_exponent, '-', 'How that of the rate does'),
+            Constant('ERROR_FLOOR', p.error_floor, '-', 'Least of the universe of the error'),
+            Constant('RATE_FLOOR', p.rate_floor, '-', 'Least of that of the rate'),
+        ]
+
     def _law(self) -> Law:
         p, scale = self._params, self._scale
         infer = p.rules.infer
@@ -100,6 +116,14 @@ class LinearSurface(ContractedSurface):
         return np.asarray(
             way * (p.error_gain * np.asarray(error) + p.rate_gain * np.asarray(rate))
         )
+
+    def constants(self) -> list[Constant]:
+        """Return the numbers that it computes with."""
+        p, way = self._params, -np.sign(self._scale).item()
+        return [
+            Constant('ERROR_GAIN', way * p.error_gain, '1/m', 'Duty per error'),
+            Constant('RATE_GAIN', way * p.rate_gain, 's/m', 'Duty per error rate'),
+        ]
 
     def _law(self) -> Law:
         way = -np.sign(self._scale).item()
@@ -248,7 +272,7 @@ class VariableUniverseController(AxisController):
         if mode != 'paper_literal' and surface.CONTRACTS:  # the published ones do not suit
             self.params.warn_about(self.axis)
         production = mode == 'production'
-        self._observer = DisturbanceObserver(axis, noise) if production and observer else None
+        self.observer = DisturbanceObserver(axis, noise) if production and observer else None
         if rate_lag is None:
             rate_lag = 0.0 if mode == 'paper_literal' else 1e-3
         self._rate = FilteredRate(rate_lag, axis.period)
@@ -376,11 +400,11 @@ class VariableUniverseController(AxisController):
             and no disturbance.
         """
         readings, duties = position.tolist(), duty.tolist()
-        if self._observer is None:
+        if self.observer is None:
             rate = FilteredRate(self._rate.lag, self.period)
             rate.reset(readings[0])
             return position, np.array([rate.of(one) for one in readings]), np.zeros(len(readings))
-        observer = copy(self._observer)
+        observer = copy(self.observer)
         observer.reset(readings[0], 0.0)
         rows = []
         for reading, held in zip(readings, duties, strict=True):
@@ -411,13 +435,39 @@ class VariableUniverseController(AxisController):
             Duty that a reading gives at once [1/m].
         """
         error_gain, rate_gain = self._direction * error_gain, self._direction * rate_gain
-        if self._observer is not None:
-            return observed_law(self._observer.design, error_gain, rate_gain)
+        if self.observer is not None:
+            return observed_law(self.observer.design, error_gain, rate_gain)
         return differenced_law(self._rate, self._integral, error_gain, rate_gain, self.period)
 
     def contracted(self, error: ArrayLike, rate: ArrayLike) -> tuple[Array, Array]:
         """Return errors [m] and error rates [m/s] on their contracted universes [-]."""
         return self._surface.inputs(error, rate)
+
+    @property
+    def surface_type(self) -> type[ContractedSurface]:
+        """Kind of its surface."""
+        return type(self._surface)
+
+    def constants(self) -> list[Constant]:
+        """Return the numbers that the controller computes with."""
+        relief = self._relief or StickSlipRelief(StickSlipParams(amplitude_max=0.0), self.period)
+        design = self.observer.design.constants() if self.observer is not None else []
+        return [
+            *super().constants(),
+            Constant(
+                'PER_VELOCITY', self._per_velocity, 's/m', 'Duty per velocity of the reference'
+            ),
+            Constant('PER_ACCELERATION', self._per_acceleration, 's2/m', 'Duty per acceleration'),
+            Constant('HIDDEN', self._hides, '-', 'Disturbance that friction hides at rest'),
+            Constant('MOVING', _MOVING, 'm/s', 'Speed from which on the axis moves'),
+            Constant(
+                'RELIEVES', self._relief is not None, '', 'Whether an axis that is stuck is helped'
+            ),
+            *self._surface.constants(),
+            *self._moving.constants(),
+            *relief.constants(),
+            *design,
+        ]
 
     def _restart(self, position: float, duty: float) -> None:
         """Begin at rest at a position [m] that a duty [-] holds."""
@@ -428,8 +478,8 @@ class VariableUniverseController(AxisController):
         self._moving.reset(duty)
         self._rate.reset(position)
         self._integral.reset(duty)
-        if self._observer is not None:
-            self._observer.reset(position, duty)
+        if self.observer is not None:
+            self.observer.reset(position, duty)
         if self._relief is not None:
             self._relief.reset(position)
 
@@ -437,7 +487,7 @@ class VariableUniverseController(AxisController):
         self, reference: float, position: float, velocity: float, acceleration: float
     ) -> float:
         """Return the duty [-] that is wanted, whatever the limits."""
-        observer = self._observer
+        observer = self.observer
         if self._known is not None:
             motion = velocity or acceleration
             self._friction = self._known.of(velocity, acceleration, self._error)
@@ -499,15 +549,15 @@ class VariableUniverseController(AxisController):
 
     def _commit(self, duty: float, position: float) -> None:
         """Go on to the next period, in which the duty [-] as limited is held."""
-        if self._observer is not None:
-            self._observer.advance(duty - self._friction, position)
+        if self.observer is not None:
+            self.observer.advance(duty - self._friction, position)
         else:
             self._integral.add(self._error, self._rate.value, self._saturated, duty)
 
     def _bridge(self, duty: float) -> None:
         """Go on to the next period without a reading."""
-        if self._observer is not None:
-            self._observer.coast(duty - self._friction)
+        if self.observer is not None:
+            self.observer.coast(duty - self._friction)
         else:
             self._rate.coast()
 

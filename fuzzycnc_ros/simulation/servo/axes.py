@@ -41,6 +41,13 @@ class DutyDelay:
     period : float
         Control period [s].
 
+    Attributes
+    ----------
+    part : float
+        Share of a period by which the dead time is longer than whole periods [-].
+    periods : int
+        Number of duties that are kept.
+
     Examples
     --------
     >>> delay = DutyDelay(1.5e-3, 1e-3)
@@ -50,17 +57,17 @@ class DutyDelay:
 
     def __init__(self, delay: float, period: float) -> None:
         whole, part = divmod(delay / period, 1.0)
-        self._part = part if part > 1e-9 else 0.0
-        size = round(whole) + 1 + (self._part > 0.0)
-        self._held = deque([0.0] * size, maxlen=size)
+        self.part = part if part > 1e-9 else 0.0
+        self.periods = round(whole) + 1 + (self.part > 0.0)
+        self._held = deque([0.0] * self.periods, maxlen=self.periods)
 
     def of(self, duty: float) -> float:
         """Return what drives in the period for which a duty [-] is commanded."""
         held = self._held
         held.append(duty)
-        if not self._part:
+        if not self.part:
             return held[0]
-        return self._part * held[0] + (1.0 - self._part) * held[1]
+        return self.part * held[0] + (1.0 - self.part) * held[1]
 
 
 class AxisPlant(ABC):
@@ -455,12 +462,22 @@ class ModalSwing:
         )
         self.position = self._rate = 0.0
 
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """Transition of place and rate in a period, row by row, and what a change adds to them."""
+        return (*self._rows[0], *self._rows[1], *self._entry)
+
     def advance(self, change: float) -> None:
         """Go on by a period in which the velocity of the rigid axis changes [m/s]."""
         (a, b), (c, d) = self._rows
         place, rate = self.position, self._rate
         self.position = a * place + b * rate + self._entry[0] * change
         self._rate = c * place + d * rate + self._entry[1] * change
+
+
+def drive_keep(config: BallscrewAxisConfig) -> float:
+    """Return the share of its deviation that the force of a drive with a lag keeps [-]."""
+    return portable.exp(-config.period / config.drive_lag)
 
 
 class BallscrewAxis(_Slide):
@@ -557,7 +574,7 @@ class BallscrewAxis(_Slide):
     def _lagged(self, duty: float) -> float:
         """Return the mean of the lagged duty [-] over the next period."""
         lag = self.config.drive_lag
-        keep = portable.exp(-self.period / lag)
+        keep = drive_keep(self.config)
         away = self._drive - duty
         self._drive = duty + away * keep
         return duty + away * (1.0 - keep) * lag / self.period

@@ -1,4 +1,4 @@
-/* {{ title }}
+{% if not scope %}/* {{ title }}
  *
  * Written by `fuzzycnc servo export` from {{ source }}.
  * machine file {{ machine_hash }}
@@ -14,17 +14,11 @@
  *
  * cc -DSELF_TEST -std=c99 -O2 -ffp-contract=off FILE -lm && ./a.out
  */
+{% endif %}
 #include <math.h>
 
 /* ---- Constants ------------------------------------------------------------------------- */
-{% for item in constants %}
-/* {{ item.comment }} [{{ item.unit }}] */
-static const double {{ item.name }} = {{ item.text }};
-{%- endfor %}
-{% for item in counts %}
-/* {{ item.comment }} */
-#define {{ item.name }} {{ item.text }}
-{%- endfor %}
+{% include 'constants.c' %}
 {% if law != 'pid' %}
 /* The observer: of each state what the states, the disturbance, the duty and a difference add. */
 #define STATES {{ rows | length }}
@@ -565,62 +559,8 @@ static double law_wanted({{ name }}_state *s, double reference, double position,
 }
 {% else %}
 {% if contracts %}
-/* Polynomials and parts of constants of fdlibm 5.3: the same digits everywhere, without a libm's pow. */
-static double polynomial(const double *coefficients, int size, double x)
-{
-    double total = x * coefficients[0];
-    int place;
-
-    for (place = 1; place < size - 1; place++) {
-        total += coefficients[place];
-        total *= x;
-    }
-    return total + coefficients[size - 1];
-}
-
-static double natural_log(double x)
-{
-    static const double log[] = { {{ log | join(', ') }} };
-    int exponent;
-    double part = frexp(x, &exponent), rise, s, square, half, more, whole;
-
-    if (part < {{ root_half }}) {
-        part = 2.0 * part;
-        exponent--;
-    }
-    whole = exponent;
-    rise = part - 1.0;
-    s = rise / (2.0 + rise);
-    square = s * s;
-    half = 0.5 * rise;
-    half *= rise;
-    more = square * polynomial(log, 7, square);
-    more += half;
-    more *= s;
-    more += whole * {{ ln2_low }};
-    half -= more;
-    half -= rise;
-    return whole * {{ ln2_high }} - half;
-}
-
-static double exponential(double x)
-{
-    static const double exp[] = { {{ exp | join(', ') }} };
-    double halvings, rest, square, c, below;
-
-    if (!(x > -746.0))
-        return x < 0.0 ? 0.0 : x;
-    halvings = rint(x * {{ per_ln2 }});
-    rest = (x - halvings * {{ ln2_high }}) - halvings * {{ ln2_low }};
-    square = rest * rest;
-    c = rest - square * polynomial(exp, 5, square);
-    below = 2.0 - c;
-    c *= rest;
-    c /= below;
-    c += rest;
-    return ldexp(1.0 + c, (int)halvings);
-}
-
+{% include 'exponential.c' %}
+{% include 'logarithm.c' %}
 /* Power of a number from 0 to 1. */
 static double power(double x, double y)
 {
@@ -744,7 +684,7 @@ static void begin({{ name }}_state *s, double position)
 
 /* Start anew and clear faults; the duty has held the axis so far.  It begins where the first
  * reading says. */
-void {{ name }}_reset({{ name }}_state *s, double duty)
+{{ scope }}void {{ name }}_reset({{ name }}_state *s, double duty)
 {
     static const {{ name }}_state fresh = {0};
 
@@ -755,7 +695,7 @@ void {{ name }}_reset({{ name }}_state *s, double duty)
 }
 
 /* The same at a position at which the axis rests. */
-void {{ name }}_reset_at({{ name }}_state *s, double position, double duty)
+{{ scope }}void {{ name }}_reset_at({{ name }}_state *s, double position, double duty)
 {
     {{ name }}_reset(s, duty);
     s->last = position;
@@ -764,8 +704,8 @@ void {{ name }}_reset_at({{ name }}_state *s, double position, double duty)
 }
 
 /* Return the duty for the next period; 0 after a fault. */
-double {{ name }}_step({{ name }}_state *s, double reference, double position, double velocity,
-                       double acceleration)
+{{ scope }}double {{ name }}_step({{ name }}_state *s, double reference, double position,
+                       double velocity, double acceleration)
 {
     double wanted, duty, last = s->duty;
 
@@ -801,6 +741,7 @@ double {{ name }}_step({{ name }}_state *s, double reference, double position, d
     return duty;
 }
 
+{%- if not scope %}
 #ifdef SELF_TEST
 #include <stdio.h>
 
@@ -827,3 +768,4 @@ int main(void)
     return wrong != 0;
 }
 #endif
+{%- endif %}
