@@ -38,7 +38,8 @@ from fuzzycnc_ros.simulation.controller.program import (
     simulate,
 )
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.programs.advice import Adviser, advised_program, program_with_mode
+from fuzzycnc_ros.studies.programs.advice import Adviser, advised_program
+from fuzzycnc_ros.studies.programs.path_mode_words import program_with_mode
 from fuzzycnc_ros.studies.programs.program_judge import ProgramPath, ProgramResult
 
 LIMITS = ControllerLimits(velocity=(0.4,) * 3, acceleration=(2.0,) * 3, path_velocity=0.5)

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -75,7 +77,32 @@ def chains(moves: Moves) -> list[tuple[Moves, Corners]]:
     return [(part, Corners.of(part)) for part in parts]
 
 
-def command(path: Sequence[tuple[Moves, Corners]], limits: ControllerLimits) -> Commanded:
+@dataclass(frozen=True, eq=False)
+class FeedShare:
+    """Feed share over the programmed path, as a component writes it to `motion.adaptive-feed`.
+
+    Attributes
+    ----------
+    place : ndarray, shape (n,)
+        Way along the path, not decreasing [m].
+    share : ndarray, shape (n,)
+        Factor of the feed there, linear in between, above 0 to 1 [-].
+    """
+
+    place: Array
+    share: Array
+
+
+LATENCY = 1
+"""Periods from a position of the planner to the effect of the share there: the component
+writes it in the same period, and it is read in the next one."""
+
+
+def command(
+    path: Sequence[tuple[Moves, Corners]],
+    limits: ControllerLimits,
+    adaptive: FeedShare | None = None,
+) -> Commanded:
     """Return what a controller commands for a path, from rest to rest.
 
     Corners are passed as the path mode says, and the speed is as high as feeds,
@@ -87,6 +114,8 @@ def command(path: Sequence[tuple[Moves, Corners]], limits: ControllerLimits) -> 
         As `chains` returns them.
     limits : ControllerLimits
         Of the axes.
+    adaptive : FeedShare, optional
+        Feed share in force with `M52 P1`.
 
     Returns
     -------
@@ -98,7 +127,7 @@ def command(path: Sequence[tuple[Moves, Corners]], limits: ControllerLimits) -> 
     See `fuzzycnc_ros.simulation.controller.program.simulate`.
     """
     first = path[0][0]
-    parts = [_chain(moves, corners, limits) for moves, corners in path]
+    parts = [_chain(moves, corners, limits, adaptive) for moves, corners in path]
     position = np.concatenate([first.start[:1], *(part.position for part in parts)])
     place = np.concatenate([first.place[:1, 0], *(part.place for part in parts)])
     # joints get cubic splines of the planner's positions, and two periods later
@@ -107,12 +136,51 @@ def command(path: Sequence[tuple[Moves, Corners]], limits: ControllerLimits) -> 
     return Commanded((one + 4.0 * two + three) / 6.0, place, limits.period * (len(place) - 1))
 
 
-def _chain(moves: Moves, corners: Corners, limits: ControllerLimits) -> Commanded:
+def _chain(
+    moves: Moves, corners: Corners, limits: ControllerLimits, adaptive: FeedShare | None
+) -> Commanded:
     """Return what is commanded from one rest to the next, and while it stands there."""
     plan = Plan(moves, corners, limits)
-    run = _PlannerRun(plan, moves.rest.tolist(), limits)
+    shares = None if adaptive is None else _Shares(moves, plan.found, adaptive)
+    run = _PlannerRun(plan, moves.rest.tolist(), limits, shares)
     position, place = _evaluated(moves, plan, run, limits.period)
     return Commanded(position, place, limits.period * len(place))
+
+
+class _Shares:
+    """Feed shares by the way inside segments, behind the component that writes them."""
+
+    def __init__(self, moves: Moves, found: list[PlannedPart], adaptive: FeedShare) -> None:
+        begin, end = moves.place.T.tolist()
+        self._low, self._rate = [], []
+        for one in found:
+            after = one.move if one.blend is None else one.move + 1
+            low = begin[one.move] + (end[one.move] - begin[one.move]) * one.low
+            high = begin[after] + (end[after] - begin[after]) * one.high
+            self._low.append(low)
+            self._rate.append((high - low) / max(one.length, _PLACE))
+        self._place, self._share = adaptive.place.tolist(), adaptive.share.tolist()
+        self._index = max(bisect_right(self._place, begin[0]) - 1, 0)
+        self._seen = deque([begin[0]] * (LATENCY + 2), LATENCY + 2)
+
+    def see(self, index: int, way: float) -> None:
+        """Note where a segment is at the end of a period."""
+        self._seen.append(self._low[index] + self._rate[index] * way)
+
+    def now(self) -> float:
+        """Return the share that is in force in the next period."""
+        before, here = self._seen[0], self._seen[1]
+        ahead = here + LATENCY * (here - before)
+        place, index = self._place, self._index
+        last = len(place) - 1
+        while index < last and place[index + 1] <= ahead:
+            index += 1
+        self._index = index
+        low = place[index]
+        if index == last or ahead <= low:
+            return self._share[index]
+        part = (ahead - low) / (place[index + 1] - low)
+        return self._share[index] + part * (self._share[index + 1] - self._share[index])
 
 
 class _PlannerRun:
@@ -132,9 +200,13 @@ class _PlannerRun:
         before, its way [m].
     """
 
-    def __init__(self, plan: Plan, rest: list[float], limits: ControllerLimits) -> None:
-        self._plan, self._found = plan, plan.found
+    def __init__(
+        self, plan: Plan, rest: list[float], limits: ControllerLimits, shares: _Shares | None
+    ) -> None:
+        self._plan, self._found, self._shares = plan, plan.found, shares
         self._period, self._ramp_time = limits.period, limits.ramp_time
+        self._path_velocity = limits.path_velocity
+        self._asked = [one.feed for one in plan.found]  # with a share of 1
         self.segment: list[int] = []
         self.way: list[float] = []
         self.leaps: list[tuple[int, int, float, float]] = []
@@ -147,6 +219,8 @@ class _PlannerRun:
         self._set_off()
         for index, one in enumerate(self._found):
             self._through(index, one)
+            if shares is not None and one.end == STOP:
+                shares.see(index, one.length)
             if rest[one.move] > 0.0 and (one.end == STOP or one is self._found[-1]):
                 # a stop is seen in a period of its own
                 one.speed = 0.0
@@ -161,11 +235,22 @@ class _PlannerRun:
             first.gain = gain
         self._note(0, first)
 
+    def _share(self, index: int) -> None:
+        """Scale the speed asked for of a segment and the next two by the share in force."""
+        assert self._shares is not None
+        share = self._shares.now()
+        for number in range(index, min(index + 3, len(self._found))):
+            one = self._found[number]
+            one.feed = self._asked[number] * share
+            one.top = min(one.asked(), self._path_velocity)
+
     def _through(self, index: int, one: PlannedPart) -> None:
         """Run a segment to its end."""
-        found = self._found
+        found, shares = self._found, self._shares
         after = found[index + 1] if index + 1 < len(found) else None
         beyond = found[index + 2] if index + 2 < len(found) else None
+        if shares is not None:
+            self._share(index)
         if index or one.blend is not None:  # when the first one starts, its end is not known
             self._start(one)
         period, segments, ways = self._period, self.segment, self.way
@@ -173,6 +258,8 @@ class _PlannerRun:
         overlaps = one.end == OVERLAP and after is not None
         done = False
         while not done:
+            if shares is not None:
+                self._share(index)
             if one.split:
                 one.progress = one.length
                 if after is not None:
@@ -184,17 +271,21 @@ class _PlannerRun:
                 else:
                     self._note(index, one)
                 return
-            if one.on_brake or one.length - one.progress >= far * one.speed:
+            if shares is None and (one.on_brake or one.length - one.progress >= far * one.speed):
                 self._leap(index, one, after)
             one.cycle = period
             done = self._step(one, after)
+            if shares is not None and overlaps and after is not None and one.on_brake:
+                one.overlaps = self._plan.overlap_speed(one, after)
             if overlaps and after is not None and self._overlaps(one):
                 self._step(after, None)
                 self.early.append((len(ways), index, one.progress))
                 self._note(index + 1, after)
-            else:
+            elif shares is None:
                 segments.append(index)
                 ways.append(one.progress)
+            else:
+                self._note(index, one)
 
     def _start(self, one: PlannedPart) -> None:
         """Choose whether a segment changes its speed evenly."""
@@ -207,6 +298,8 @@ class _PlannerRun:
         """Note where a segment is at the end of a period."""
         self.segment.append(index)
         self.way.append(one.progress)
+        if self._shares is not None:
+            self._shares.see(index, one.progress)
 
     def _enter(self, index: int, one: PlannedPart, count: int, rise: float) -> None:
         """Note how a segment goes on over many periods."""

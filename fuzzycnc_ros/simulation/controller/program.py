@@ -25,7 +25,7 @@ from fuzzycnc_ros.core.feedrate.gcode.segments import (
     Segment,
 )
 from fuzzycnc_ros.simulation.controller.blends import ControllerLimits, Corners
-from fuzzycnc_ros.simulation.controller.motion import Commanded, chains, command
+from fuzzycnc_ros.simulation.controller.motion import Commanded, FeedShare, chains, command
 from fuzzycnc_ros.simulation.controller.moves import Moves
 
 _MODE = re.compile(r'[gG]\s*0*6\s*[14]')
@@ -256,7 +256,9 @@ def _table(
     )  # fmt: skip
 
 
-def simulate(moves: ProgramMoves, limits: ControllerLimits) -> list[Commanded]:
+def simulate(
+    moves: ProgramMoves, limits: ControllerLimits, adaptive: FeedShare | None = None
+) -> list[Commanded]:
     r"""Return what a controller commands for a program, by path without a gap.
 
     Parameters
@@ -265,6 +267,8 @@ def simulate(moves: ProgramMoves, limits: ControllerLimits) -> list[Commanded]:
         The program.
     limits : ControllerLimits
         Of the axes.
+    adaptive : FeedShare, optional
+        Feed share over the path in force, as with `M52 P1`.
 
     Examples
     --------
@@ -275,7 +279,7 @@ def simulate(moves: ProgramMoves, limits: ControllerLimits) -> list[Commanded]:
     >>> f'{found.duration:.3f} s'
     '0.314 s'
     """
-    return [command(path, limits) for path in moves.chains]
+    return [command(path, limits, adaptive) for path in moves.chains]
 
 
 def with_mode(moves: ProgramMoves, mode: PathMode) -> ProgramMoves:

@@ -15,9 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.feedrate.gcode.blocks import Block, Program
-from fuzzycnc_ros.core.feedrate.gcode.lexer import read_line
-from fuzzycnc_ros.core.feedrate.gcode.modal import MILLIMETRE, MINUTE
+from fuzzycnc_ros.core.feedrate.gcode.blocks import Program
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.gcode.writer import write_program
 from fuzzycnc_ros.core.feedrate.schedule.program_schedule import schedule_program
@@ -33,65 +31,10 @@ from fuzzycnc_ros.simulation.controller.program import (
     turns,
     with_mode,
 )
+from fuzzycnc_ros.studies.programs.path_mode_words import program_with_mode
 from fuzzycnc_ros.studies.programs.program_judge import LocalErrors, ProgramPath, ProgramResult
+from fuzzycnc_ros.studies.programs.refined_feeds import refine
 from fuzzycnc_ros.studies.programs.split_program import check_same_path, split_program
-
-MODES = (61.0, 61.1, 64.0)
-"""G words that set the path mode."""
-
-
-def program_with_mode(text: str, mode: PathMode, units: str = 'mm') -> str:
-    r"""Return a program whose path mode is one throughout: one line more, no other mode word.
-
-    Parameters
-    ----------
-    text : str
-        The program.
-    mode : PathMode
-        With a rounding above 0.
-    units : {'mm', 'inch'}
-        Unit before the program says G20 or G21.
-
-    Examples
-    --------
-    >>> text = 'G21 G64 P0.1\nG1 X1 F60\nG61 X2\n'
-    >>> print(program_with_mode(text, PathMode(2e-5, 2e-5)), end='')
-    G21
-    G64 P0.02 Q0.02
-    G1 X1 F60
-    X2
-    """
-    lines: list[str] = []
-    set_yet = False
-    for block in read_program(text, units).blocks:
-        moves = block.segment is not None
-        if moves and not set_yet:
-            unit = block.feed_unit * MINUTE / MILLIMETRE
-            lines.append(_mode_line(mode, unit))
-            set_yet = True
-        lines.append(_without_mode(block))
-    return ''.join(lines)
-
-
-def _mode_line(mode: PathMode, unit: float) -> str:
-    """Return the line that sets a mode where a length of 1 is so many millimetres."""
-    rounding, merging = 1e3 * mode.rounding / unit, 1e3 * mode.merging / unit
-    return f'G64 P{rounding:.6f}'.rstrip('0') + f' Q{merging:.6f}'.rstrip('0') + '\n'
-
-
-def _without_mode(block: Block) -> str:
-    """Return a line without its words of the path mode."""
-    text = block.text
-    words = read_line(text, block.line).words
-    if not any(word.letter == 'G' and word.value in MODES for word in words):
-        return text
-    waits = any(word.letter == 'G' and word.value == 4.0 for word in words)
-    for word in reversed(words):
-        own = word.letter == 'G' and word.value in MODES
-        if own or (word.letter in 'PQ' and not waits):
-            text = text[: word.start].rstrip(' \t') + text[word.end :]
-    return text.lstrip(' ') if not block.text.startswith(' ') else text
-
 
 CORNERS = ('none', 'feed', 'split')
 """Treatments of corners: none, by feeds of blocks, by cutting blocks near them."""
@@ -596,127 +539,15 @@ def advised_program(program: Program, remedy: ProgramRemedy, units: str = 'mm') 
     return text if remedy.mode is None else program_with_mode(text, remedy.mode, units)
 
 
-# FALL, RISE, RISE_MOST and BEHIND were chosen on nine random programs of lines with corners,
-# lines and arcs, and splines as short lines (seeds 0 to 8), for 20 um: the least time among six.
-FALL, RISE = 0.7, 0.5
-"""Powers of error over tolerance by which feeds fall and rise in a round [-]."""
-FALL_MOST, RISE_MOST = 0.3, 1.5
-"""Factors of a feed in a round at most [-]."""
-BEHIND = 0.7
-"""Lead of the command that counts as the cause of an error, in delays of the machine."""
-SETTLED = 0.95
-"""Error over tolerance from which feeds no longer rise [-]."""
-AIM = 0.97
-"""Share of the tolerance that is aimed at [-]."""
 LOST = 4.0
 """Feeds are refined no further where they take that many times as long as what keeps the tolerance
-already: a round lowers them to `FALL_MOST` at most, and raises them by less [-]."""
-ROUNDS, ROUNDS_DOWN = 24, 8
-"""Rounds, and those at the end in which no feed rises."""
+already: a round lowers them to `refined_feeds.FALL_MOST` at most, and raises them by less [-]."""
 CUTS = (1e-4, 4e-4)
 """Distances at which a block is cut before and after a part that is too fast [m]."""
 CUT_LEAST = 1.5
 """Blocks are cut where half of them is longer than that many times the cut [-]."""
 BENT = float(np.radians(3.0))
 """Turn between two blocks near which they may be cut [rad]."""
-
-
-@dataclass(frozen=True, eq=False)
-class RefinedFeeds:
-    """Feeds that were found for a program.
-
-    Attributes
-    ----------
-    feed : ndarray, shape (n,)
-        By move [m/s].
-    duration, error : float
-        What they take and leave on the simulated controller [s, m].
-    """
-
-    feed: Array
-    duration: float
-    error: float
-
-
-def refine(
-    path: ProgramPath,
-    moves: ProgramMoves,
-    tolerance: float,
-    limits: ControllerLimits,
-    machine: ContouringConfig,
-    longest: float = np.inf,
-) -> RefinedFeeds:
-    """Lower the feed of each block until the contour error keeps a tolerance, and not further.
-
-    In each round the program is simulated; feeds fall where the error that they cause is too
-    large, and rise elsewhere, up to those that the program has.
-
-    Parameters
-    ----------
-    path : ProgramPath
-        By which errors are measured.
-    moves : ProgramMoves
-        The program with its own feeds, and the path mode that it shall have.
-    tolerance : float
-        Largest contour error wanted [m].
-    limits, machine
-        The controller and the lags of the axes.
-    longest : float
-        Time from which on nobody wants it [s]: the search ends there.
-
-    Returns
-    -------
-    RefinedFeeds
-        The fastest that keeps the tolerance, or else that with the least error.
-    """
-    plain = moves.moves
-    own = np.where(plain.rapid, np.inf, plain.feed)
-    feed = plain.feed.copy()
-    best: RefinedFeeds | None = None
-    for number in range(ROUNDS):
-        tried = replace(moves, moves=replace(plain, feed=feed))
-        found = path.errors(simulate(tried, limits), machine)
-        judged = found.judged
-        now = RefinedFeeds(feed, judged.duration, judged.error)
-        if best is None or _rank(now, tolerance) < _rank(best, tolerance):
-            best = now
-        if judged.duration > longest:
-            break
-        over, pace = _by_move(found, plain.place[:, 1], machine, AIM * tolerance)
-        known = np.maximum(over, 1e-3)
-        slower = np.minimum(feed, pace) * np.maximum(known**-FALL, FALL_MOST)
-        faster = np.minimum(feed * np.minimum(known**-RISE, RISE_MOST), own)
-        rises = (over > 0.0) & (over < SETTLED) & (number < ROUNDS - ROUNDS_DOWN)
-        wanted = np.where(over > 1.0, slower, np.where(rises, faster, feed))
-        wanted = np.where(plain.rapid, plain.feed, wanted)
-        if np.array_equal(wanted, feed):
-            break  # so it would be in all rounds that are left
-        feed = wanted
-    assert best is not None
-    return best
-
-
-def _rank(one: RefinedFeeds, tolerance: float) -> tuple[bool, float]:
-    kept = one.error <= tolerance
-    return not kept, one.duration if kept else one.error
-
-
-def _by_move(
-    found: LocalErrors, edge: Array, machine: ContouringConfig, aim: float
-) -> tuple[Array, Array]:
-    """Return, by move, the largest error that it has a part in over the aim, and its speed."""
-    last = len(edge) - 1
-    low = np.clip(
-        np.searchsorted(edge, found.place - found.speed * BEHIND * machine.delay), 0, last
-    )
-    high = np.clip(np.searchsorted(edge, found.place), 0, last)
-    count = high - low + 1
-    move = np.repeat(low - (np.cumsum(count) - count), count) + np.arange(count.sum())
-    over = np.zeros(len(edge))
-    np.maximum.at(over, move, np.repeat(found.error / aim, count))
-    pace = np.zeros(len(edge))
-    np.maximum.at(pace, high, found.speed)
-    return over, np.where(pace > 0.0, pace, np.inf)
 
 
 def cuts_near_errors(
