@@ -3,7 +3,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draw the pictures of README and docs from runs of the simulated machines: `make pictures`.
 
-They are SVG without scripts; text and axes follow the reader's light or dark theme.
+They are SVG without scripts, whose text and axes follow the reader's light or dark theme; a
+photograph is PNG.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+import cv2  # noqa: E402
 from matplotlib import colormaps  # noqa: E402
 from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.collections import LineCollection  # noqa: E402
@@ -26,6 +29,10 @@ from matplotlib.colors import ListedColormap  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 
 from fuzzycnc_ros import feedrate, soft  # noqa: E402
+from fuzzycnc_ros.core.deformation.samples import RecordedPath, samples_of_paths  # noqa: E402
+from fuzzycnc_ros.core.deformation.stitch_design import PlacedRun, run_path  # noqa: E402
+from fuzzycnc_ros.core.deformation.stitch_path import LINE  # noqa: E402
+from fuzzycnc_ros.core.deformation.trial_lines import trial_plan, trial_runs  # noqa: E402
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly  # noqa: E402
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig  # noqa: E402
 from fuzzycnc_ros.core.servo.axis_control import make_controller  # noqa: E402
@@ -51,6 +58,10 @@ from fuzzycnc_ros.studies.page.drawing import (  # noqa: E402
 from fuzzycnc_ros.studies.page.html import to_inline_svg  # noqa: E402
 from fuzzycnc_ros.studies.shift.learnt_days import joined, learn_days  # noqa: E402
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration, run_shift  # noqa: E402
+from fuzzycnc_ros.studies.soft.design_files import read_design  # noqa: E402
+from fuzzycnc_ros.studies.soft.design_page import design_picture  # noqa: E402
+from fuzzycnc_ros.studies.soft.rendered_photo import Camera, rendered_photo  # noqa: E402
+from fuzzycnc_ros.studies.soft.sheet_marks import marks_around  # noqa: E402
 
 LIGHT, DARK = (
     ' '.join(f'--{name}: {colours[number]};' for name, colours in PALETTE.items())
@@ -279,12 +290,75 @@ def sheet() -> str:
     return svg(figure)
 
 
-PICTURES: dict[str, Callable[[], str]] = {
+AREA = (0.2, 0.12)
+QUILT = soft.SheetMaterial(15e-3, AREA)
+DEPTH, STEP, MARGIN = 6e-3, 3e-3, 16e-3
+"""Sheet and foot of the tutorial on straight patterns [m]."""
+
+
+def _stitched_trial() -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return the runs of the trial as planned and as stitched [m]."""
+    rng = np.random.default_rng(0)
+    foam = FoamSheet(QUILT.thickness, AREA).scattered(rng)
+    runs = trial_runs(trial_plan(8, STEP), AREA, MARGIN)
+    return [(run, foam.stitch(run, DEPTH, rng=rng)) for run in runs]
+
+
+def trial() -> bytes:
+    """Return a photograph of the trial on the simulated sheet."""
+    runs = [stitched for _, stitched in _stitched_trial()]
+    camera = Camera(pixel=0.24e-3, noise=1.0)
+    photo = rendered_photo(runs, marks_around(AREA), AREA, camera, np.random.default_rng(0))
+    photo = photo // 16 * 17  # 16 shades: a sixth of the file
+    return bytes(cv2.imencode('.png', photo)[1].tobytes())
+
+
+def design() -> str:
+    """Return the quilt of the tutorial: planned, as it would be stitched, and commanded."""
+    recorded = []
+    for plan, stitched in _stitched_trial():
+        steps = len(plan) - 1
+        step = float(np.median(np.hypot(*np.diff(plan, axis=0).T)))
+        recorded.append(
+            RecordedPath(
+                path_id='trial',
+                material=QUILT,
+                nominal=plan,
+                offset=np.zeros_like(plan),
+                stitched=stitched,
+                primitive=np.zeros(steps, np.int64),
+                kind=np.full(steps, float(LINE)),
+                turn=np.zeros(steps),
+                depth=np.full(steps, DEPTH),
+                step=np.full(steps, step),
+            )
+        )
+    samples = samples_of_paths(recorded)
+    model = soft.train(samples.x, samples.s)
+    page = (ROOT / 'docs' / 'tutorials' / 'straight-patterns.md').read_text(encoding='utf-8')
+    with TemporaryDirectory() as folder:
+        quilt = Path(folder) / 'quilt.svg'
+        quilt.write_text(page.split('```xml\n')[1].split('```')[0], encoding='utf-8')
+        source = read_design(quilt, STEP).design
+    middle = 0.5 * (source.points.min(axis=0) + source.points.max(axis=0))
+    runs = []
+    for run in source.runs():
+        points = source.points[run] + 0.5 * np.array(AREA) - middle
+        path = run_path(points, DEPTH, STEP)
+        assert path is not None
+        found = soft.compensate(path, model, QUILT)
+        runs.append(PlacedRun(points, found.commanded, found.offset))
+    return svg(design_picture(runs).figure)
+
+
+PICTURES: dict[str, Callable[[], str | bytes]] = {
     'learnt': learnt,
     'drift': drift,
     'feedrate': feeds,
     'servo': servo,
     'soft': sheet,
+    'soft_trial': trial,
+    'soft_design': design,
 }
 
 
@@ -296,10 +370,11 @@ def main() -> int:
         raise SystemExit(f'expected names of {", ".join(PICTURES)} but found {", ".join(unknown)}')
     for name in names:
         with plot_style():
-            text = PICTURES[name]()
-        path = ROOT / 'docs' / 'figures' / f'{name}.svg'
-        path.write_text(text, encoding='utf-8')
-        print(f'{path.relative_to(ROOT)}: {len(text) / 1e3:.0f} kB')
+            drawn = PICTURES[name]()
+        ending, content = ('svg', drawn.encode()) if isinstance(drawn, str) else ('png', drawn)
+        path = ROOT / 'docs' / 'figures' / f'{name}.{ending}'
+        path.write_bytes(content)
+        print(f'{path.relative_to(ROOT)}: {len(content) / 1e3:.0f} kB')
     return 0
 
 

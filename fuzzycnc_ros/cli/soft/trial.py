@@ -142,15 +142,15 @@ def simulate(
         check_new(out, remedy='add --force')
     check_folder(out)
     known = read_marks(marks)
-    _, runs = _planned(path if pattern is None else pattern, path, area)
+    planned, runs = _planned(path if pattern is None else pattern, path, area)
     rng = np.random.default_rng(seed)
     sheet = FoamSheet(thick, area).scattered(rng)
     stitched = [sheet.stitch(run, deep, rng=rng) for run in runs]
     photo = rendered_photo(stitched, known, area, camera, rng)
     with whole_file(out) as file:
         file.write(require('cv2').imencode('.png', photo)[1].tobytes())
-    off = np.concatenate([a - b for a, b in zip(stitched, runs, strict=True)])
-    say(f'{out}: stitches lie {1e3 * float(np.sqrt((off**2).sum(axis=1).mean())):.3f} mm rms off')
+    rms = _rms_apart(stitched, planned)
+    say(f'{out}: stitches lie {1e3 * rms:.3f} mm rms off the design')
 
 
 def measure(
@@ -224,8 +224,7 @@ def measure(
             f'{photo}: expected stitches of {pattern} but found none; are --size, the marks and '
             'the design those of this sheet?'
         )
-    off = np.concatenate([a - b for a, b in zip(found.runs, planned, strict=True)])
-    rms = float(np.sqrt((off**2).sum(axis=1).mean()))
+    rms = _rms_apart(found.runs, planned)
     say(
         f'{view.marks} marks, {1e3 * view.residual:.3f} mm off; a pixel is '
         f'{1e3 * view.pixel:.3f} mm'
@@ -293,6 +292,14 @@ def _planned(
     first = np.array([a[0] - b[0] for a, b in zip(planned, runs, strict=True)])
     moved = np.median(first, axis=0)
     return planned, [run + moved for run in runs]
+
+
+def _rms_apart(runs: 'list[Array]', others: 'list[Array]') -> float:
+    """Return the root mean square distance between the points of runs [m]."""
+    import numpy as np
+
+    apart = np.concatenate([a - b for a, b in zip(runs, others, strict=True)])
+    return float(np.sqrt((apart**2).sum(axis=1).mean()))
 
 
 def _write_samples(

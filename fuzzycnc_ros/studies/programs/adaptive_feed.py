@@ -30,7 +30,7 @@ from fuzzycnc_ros.simulation.controller.program import (
     simulate,
 )
 from fuzzycnc_ros.studies.programs.path_mode_words import program_with_mode
-from fuzzycnc_ros.studies.programs.program_judge import ProgramResult, LocalErrors, ProgramPath
+from fuzzycnc_ros.studies.programs.program_judge import LocalErrors, ProgramPath, ProgramResult
 from fuzzycnc_ros.studies.programs.refined_feeds import refine_parts
 
 ADAPTIVE_MODE = PathMode(2e-6, 2e-6)

@@ -215,7 +215,6 @@ def train_model(
     check_enough(samples.x, samples.s, needed if method == 'network' else LEAST)
     out = outlying(samples.x, samples.s)
     x, s, groups = samples.x[~out], samples.s[~out], samples.groups[~out]
-    few = method != 'network' and _different(x, s) < needed
     trainers: dict[str, Callable[[Array, Array], DeformationModel]] = {
         'none': no_correction,
         'ridge': ridge_regression,
@@ -223,18 +222,31 @@ def train_model(
     }
     named = METHODS | {'network': CONSEQUENTS[settings.get('consequent', 'nts')]}
     compared = list(METHODS) if method == AUTO else list(dict.fromkeys(('none', method)))
-    if few:  # for a rule with a sample of its own, held out in turn
-        compared, others = [name for name in compared if name != 'network'], ()
-    rivals = [
-        ComparedModel(named[key], _fitted(trainers[key]))
-        if key in trainers
-        else network(named[key], **settings)
-        for key in compared
-    ]
-    rivals += others
-    judged = judge_training(
-        x, s, groups, rivals, seed=int(settings.get('random_state', 0)), progress=progress
-    )
+
+    def judge(names: Sequence[str], others: Sequence[ComparedModel], folds: int) -> FoamTraining:
+        rivals = [
+            ComparedModel(named[name], _fitted(trainers[name]))
+            if name in trainers
+            else network(named[name], **settings)
+            for name in names
+        ]
+        seed = int(settings.get('random_state', 0))
+        return judge_training(
+            x, s, groups, [*rivals, *others], folds=folds, seed=seed, progress=progress
+        )
+
+    few = _different(x, s) < needed
+    judged: FoamTraining | None = None
+    if not few or method == 'network':
+        try:
+            # One by one, more of few samples are left for a rule with a sample of its own.
+            judged = judge(compared, others, len(x) if few else FOLDS)
+        except TooFewSamplesError:
+            if method == 'network':
+                raise
+    if without := judged is None:
+        compared = [name for name in compared if name != 'network']
+        judged = judge(compared, (), FOLDS)
     chosen = (
         _chosen(judged, s, groups, len(compared)) if method == AUTO else compared.index(method)
     )
@@ -247,8 +259,11 @@ def train_model(
     else:
         model, notes = trainers[name](x, s), direction_doubts(x, s)
     lines = [*_outlier_lines(samples, out), *(f'note: {note}' for note in notes)]
-    if few and method == AUTO:
-        lines.append(f'no network: it takes {needed} samples that differ')
+    if without and method == AUTO:
+        lines.append(
+            f'no network: it takes {needed} samples that differ, in as many groups, but found '
+            f'{len(x)} in {judged.groups}'
+        )
     if method == AUTO:
         lines.append(_choice_line(judged, name, len(compared)))
     doubts = tuple(lines[:-1] if method == AUTO and name != 'none' else lines)
@@ -464,6 +479,8 @@ def judge_training(
 
     Raises
     ------
+    TooFewSamplesError
+        If a network has too few samples beside those that are held out.
     ValueError
         If there are not three groups: training chooses its penalty on parts as well.
     """
@@ -474,6 +491,13 @@ def judge_training(
             f'{count}; record more'
         )
     parts = grouped_folds(groups, folds, np.random.default_rng(seed))
+    too_few = (
+        f'samples: expected groups of one process or sheet of which some can be held out, but '
+        f'found {len(x)} samples in {count} groups, too large a part of them in one; record more '
+        'sheets or processes'
+    )
+    if min(int((~part).sum()) for part in parts) < LEAST // 2:
+        raise ValueError(too_few)
     errors = []
     for number, rival in enumerate(rivals):
         predicted = np.empty_like(s)
@@ -482,11 +506,7 @@ def judge_training(
             try:
                 predict = rival.train(x[~part], s[~part], groups[~part])
             except TooFewSamplesError as error:
-                raise ValueError(
-                    f'samples: expected groups of one process or sheet of which some can be held '
-                    f'out, but found {len(x)} samples in {count} groups, too large a part of them '
-                    'in one; record more sheets or processes'
-                ) from error
+                raise TooFewSamplesError(too_few) from error
             predicted[part] = predict(x[part])
         errors.append(_errors(rival.label, x, s, predicted))
     return FoamTraining(coverage(x), s, errors, len(parts), count)

@@ -14,7 +14,8 @@ from fuzzycnc_ros.core.deformation.offset_file import read_offsets
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
-from fuzzycnc_ros.studies.soft.foam_records import COLUMNS
+from fuzzycnc_ros.studies.soft.foam_records import COLUMNS, array_samples
+from fuzzycnc_ros.studies.soft.foam_training import train_model
 
 TRACK = FoamTrack.parallelogram(np.radians(45.0))
 
@@ -414,6 +415,25 @@ def test_few_samples_are_judged_without_the_network(fuzzycnc, tmp_path, samples)
     assert outcome.code == 0, outcome.err
     assert 'no network: it takes 19 samples that differ' in outcome.out
     assert json.loads((tmp_path / 'o.json').read_text())['method'] in ('none', 'ridge')
+
+
+def test_groups_that_leave_a_network_too_few_samples_cost_no_training(fuzzycnc, tmp_path, samples):
+    x, s = samples.x[:20], samples.s[:20]
+    write_samples(tmp_path / 's.csv', x, s, [f's{number // 3}' for number in range(20)])
+    outcome = fuzzycnc('soft', 'train', 's.csv', '--out', 'm.json', '--json', 'o.json')
+    assert outcome.code == 0, outcome.err
+    assert 'no network: it takes 19 samples' in outcome.out
+    assert 'found 20 in 7' in outcome.out
+    assert json.loads((tmp_path / 'o.json').read_text())['method'] == 'ridge'
+
+
+def test_a_network_is_trained_on_what_outliers_leave(samples):
+    x, s = samples.x[:20], samples.s[:20].copy()
+    s[[3, 11]] += [20.0, -15.0]
+    found = train_model(array_samples(x, s), {'ridge': 0.03}, 'network')
+    assert found.method == 'network'
+    assert {'row 3', 'row 11'} <= set(found.outliers)
+    assert found.judged.folds == found.judged.groups
 
 
 def test_enough_rows_in_too_few_groups_are_named(refused, tmp_path, samples):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.deformation.model import write_model
-from fuzzycnc_ros.core.deformation.regression import no_correction
+from fuzzycnc_ros.core.deformation.regression import no_correction, ridge_regression
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 
 SHEET = ('--thickness', '15mm', '--depth', '6mm', '--size', '200x120mm')
@@ -100,6 +100,19 @@ def test_a_trial_gives_the_samples_of_its_lines(done, tmp_path):
     # a step of two thirds drifts half as much again
     assert abs(samples['s_x_mm'][4]) > 1.2 * abs(samples['s_x_mm'][5])
     done('train', 's.csv', '--no-baselines', '--out', 'model.json')
+
+
+def test_a_compensated_design_is_stitched_off_the_design_it_was_made_of(done, tmp_path):
+    (tmp_path / 'model.json').write_text(write_model(ridge_regression(*foam_samples(0))))
+    done('pattern', '--out', 'trial.dst', *MARKS, '--directions', '4')
+    options = ('--model', 'model.json', *SHEET, '--stitch-min', '0mm', '--out', 'now.dst')
+    done('compensate', 'trial.dst', *options)
+    rms = []
+    for name in ('trial.dst', 'now.dst'):
+        drawn = ('--pattern', 'trial.dst', *MARKS, '--pixel', '0.5mm', '--out', f'{name}.png')
+        said = done('simulate', name, *drawn)
+        rms.append(float(said.split('stitches lie ')[1].split(' mm rms off the design')[0]))
+    assert rms[1] < 0.8 * rms[0]
 
 
 def test_what_cannot_be_is_refused(refused, done, tmp_path):
