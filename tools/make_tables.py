@@ -134,12 +134,20 @@ EXTRAS = (
         'a goal without an answer; with one: action `follow_joint_trajectory`',
     ),
     Extra(
-        '/tf, /tf_static',
+        '/tf',
         'tf2_msgs/msg/TFMessage',
         STREAM,
         'joint_trajectory_bridge, where `tf2_msgs` is installed',
         'RViz and other viewers',
-        'with `joint_states`; at start',
+        'with `joint_states`',
+    ),
+    Extra(
+        '/tf_static',
+        'tf2_msgs/msg/TFMessage',
+        LATCHED,
+        'joint_trajectory_bridge, where `tf2_msgs` is installed',
+        'RViz and other viewers',
+        'at start',
     ),
     Extra(
         'temperature/<sensor>',
@@ -219,14 +227,6 @@ def bounds(meta: Any) -> str:
     return f'{low} to {high}'
 
 
-def type_name(default: Any) -> str:
-    """Return the ROS name of a parameter's type."""
-    names = {bool: 'bool', int: 'integer', float: 'double', str: 'string'}
-    if isinstance(default, tuple):
-        return f'{names[type(default[0]) if default else str]} array'
-    return names[type(default)]
-
-
 def params_file(node: Node) -> str:
     """Return `params/<node>.yaml` with all defaults."""
     lines = [
@@ -267,13 +267,11 @@ def parameter_rows(record: type[Config]) -> Iterator[tuple[str, ...]]:
     """Yield one row per parameter."""
     for item in fields(record):
         meta = item.metadata
+        unit = '' if meta['unit'] == '-' else f' {meta["unit"]}'
+        limits = bounds(meta)
         yield (
-            f'`{item.name}`',
-            type_name(item.default),
-            f'`{yaml_value(item.default)}`',
-            meta['unit'],
-            bounds(meta),
-            'live' if meta['live'] else '',
+            f'`{item.name}`' + (' *live*' if meta['live'] else ''),
+            f'`{yaml_value(item.default)}`{unit}' + (f', {limits}' if limits else ''),
             meta['doc'],
         )
 
@@ -285,17 +283,15 @@ def marked(text: str) -> str:
 
 def parameters_page() -> str:
     """Return docs/reference/parameters.md."""
-    head = ('parameter', 'type', 'default', 'unit', 'allowed', 'live', 'meaning')
+    head = ('parameter', 'default, allowed', 'meaning')
     lines = [
         GENERATED,
         '# Parameters',
         '',
-        'Every parameter is declared once, in a configuration record; the ROS declaration with',
-        'its descriptor and bounds, `params/<node>.yaml` and this page follow from it. A misspelt',
-        'name, a wrong type and a value out of bounds are refused, at the start with exit code 2',
-        'and one line that names the parameter. *Live* parameters may change while a node runs;',
-        'the others are read-only. All values are in SI units and degC; an empty list is written',
-        "`['']`.",
+        'A misspelt name, a wrong type and a value out of bounds are refused, at the start with',
+        'exit code 2 and one line. The default shows the type: `1.0` is a double, `1` an integer,',
+        "`['']` an empty list of strings. *Live* parameters may change while a node runs. All",
+        'values are in SI units and degC. `params/<node>.yaml` has the same as files.',
         '',
     ]
     for node in nodes():
@@ -332,32 +328,20 @@ def parameters_page() -> str:
     return '\n'.join(lines) + '\n'
 
 
-def input_rows() -> Iterator[tuple[str, ...]]:
-    """Yield one row per input of every component."""
+def node_rows() -> Iterator[tuple[str, ...]]:
+    """Yield one row per component: what it reads and what it writes."""
     for name, component in COMPONENTS.items():
-        for item in component.INPUTS:
-            endless = item.max_age == float('inf')
-            yield (
-                f'`{name}`',
-                f'`{item.name}`',
-                item.record.TYPE.split('/')[-1],
-                item.durability.value,
-                'yes' if item.driving else '',
-                '' if endless else f'{item.max_age:g} s',
-            )
-
-
-def output_rows() -> Iterator[tuple[str, ...]]:
-    """Yield one row per output of every component."""
-    for name, component in COMPONENTS.items():
-        for item in component.OUTPUTS:
-            yield (
-                f'`{name}`',
-                f'`{item.name}`',
-                item.record.TYPE.split('/')[-1],
-                item.durability.value,
-                'yes' if item.persistent else '',
-            )
+        reads = [
+            f'**`{item.name}`**'
+            if item.driving
+            else f'`{item.name}`'
+            + ('' if item.max_age == float('inf') else f' ({item.max_age:g} s)')
+            for item in component.INPUTS
+        ]
+        writes = [
+            f'`{item.name}`' + (' *kept*' if item.persistent else '') for item in component.OUTPUTS
+        ]
+        yield f'`{name}`', ', '.join(reads), ', '.join(writes)
 
 
 def route_rows() -> Iterator[tuple[str, ...]]:
@@ -399,6 +383,7 @@ def service_rows() -> Iterator[tuple[str, ...]]:
 
 def topics_page() -> str:
     """Return docs/reference/topics.md."""
+    managed = [f'`{name}`' for name, component in COMPONENTS.items() if component.MANAGED]
     lines = [
         GENERATED,
         '# Topics, services and actions',
@@ -417,18 +402,13 @@ def topics_page() -> str:
         '',
         'An input without a writer here comes from outside, for example from a probing cycle.',
         '',
-        '## What each node reads',
+        '## What each node reads and writes',
         '',
-        'The *driving* input makes a node act; the others are joined by their stamps. A side',
-        'input older than its greatest age counts as absent.',
+        'The **driving** input makes a node act; the others are joined by their stamps. In',
+        'brackets: the age from which a side input counts as absent. A *kept* topic survives a',
+        'restart of the node, in its `state_directory`.',
         '',
-        *table(('node', 'topic', 'message', 'QoS', 'driving', 'greatest age'), input_rows()),
-        '',
-        '## What each node writes',
-        '',
-        'A *kept* topic survives a restart of the node, in its `state_directory`.',
-        '',
-        *table(('node', 'topic', 'message', 'QoS', 'kept'), output_rows()),
+        *table(('node', 'reads', 'writes'), node_rows()),
         '',
         '## Topics of all nodes, of the tools and of lock-step',
         '',
@@ -454,7 +434,7 @@ def topics_page() -> str:
         '`follow_joint_trajectory` (control_msgs/action/FollowJointTrajectory) is served by',
         '`joint_trajectory_bridge`, where `control_msgs` is installed.',
         '',
-        '`compensator` also has the services of a managed lifecycle node (`ros2 lifecycle`).',
+        f'Managed lifecycle nodes (`ros2 lifecycle`): {", ".join(managed)}.',
     ]
     return '\n'.join(lines) + '\n'
 

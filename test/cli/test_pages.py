@@ -51,6 +51,7 @@ LONG = {
     'docs/how-to/fleet.md',
     'docs/how-to/integration.md',
     'docs/how-to/learning.md',
+    'docs/how-to/linuxcnc.md',
     'docs/how-to/live-page.md',
     'docs/how-to/scaling.md',
     'docs/how-to/security.md',
