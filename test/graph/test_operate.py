@@ -182,7 +182,7 @@ def test_a_compensator_that_was_shut_down_is_told_alike(
         lambda: observer.node.count_subscribers('/mill/thermal_error'), 'the compensator is there'
     )
     assert command('activate')[0] == 0
-    with operator_client.Operator('mill', patience=HANG) as operator:
+    with operator_client.OperatorClient('mill', patience=HANG) as operator:
         assert operator.transition('compensator', 'shutdown')
     file = tmp_path / 'status.json'
 

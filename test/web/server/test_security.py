@@ -91,7 +91,7 @@ def test_what_can_be_asked_for_is_this_and_no_more(page):
     routes = {
         (route.path, tuple(sorted(getattr(route, 'methods', None) or ())))
         for route in app.page_app(
-            app.Page(page.machines, None, None, None)  # nothing of it is asked here
+            app.LivePage(page.machines, None, None, None)  # nothing of it is asked here
         ).routes
     }
     assert routes == {
