@@ -134,12 +134,20 @@ EXTRAS = (
         'a goal without an answer; with one: action `follow_joint_trajectory`',
     ),
     Extra(
-        '/tf, /tf_static',
+        '/tf',
         'tf2_msgs/msg/TFMessage',
         STREAM,
         'joint_trajectory_bridge, where `tf2_msgs` is installed',
         'RViz and other viewers',
-        'with `joint_states`; at start',
+        'with `joint_states`',
+    ),
+    Extra(
+        '/tf_static',
+        'tf2_msgs/msg/TFMessage',
+        LATCHED,
+        'joint_trajectory_bridge, where `tf2_msgs` is installed',
+        'RViz and other viewers',
+        'start',
     ),
     Extra(
         'temperature/<sensor>',
@@ -399,6 +407,7 @@ def service_rows() -> Iterator[tuple[str, ...]]:
 
 def topics_page() -> str:
     """Return docs/reference/topics.md."""
+    managed = [name for name, component in COMPONENTS.items() if component.MANAGED]
     lines = [
         GENERATED,
         '# Topics, services and actions',
@@ -454,7 +463,11 @@ def topics_page() -> str:
         '`follow_joint_trajectory` (control_msgs/action/FollowJointTrajectory) is served by',
         '`joint_trajectory_bridge`, where `control_msgs` is installed.',
         '',
-        '`compensator` also has the services of a managed lifecycle node (`ros2 lifecycle`).',
+        *textwrap.wrap(
+            f'{", ".join(f"`{name}`" for name in managed[:-1])} and `{managed[-1]}` also have the '
+            'services of a managed lifecycle node (`ros2 lifecycle`).',
+            99,
+        ),
     ]
     return '\n'.join(lines) + '\n'
 
