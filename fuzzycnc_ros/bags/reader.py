@@ -38,6 +38,14 @@ from fuzzycnc_ros.runtime.provenance import MESSAGE_SET
 _QOS_MAX = 1000
 """Most different QoS texts that are read; a topic that has another counts as of unknown QoS."""
 
+_INSTEAD = {
+    '': 'where rosbag2 compressed whole files or single messages, convert the bag with '
+    '`ros2 bag convert` first',
+    '.csv': 'make a bag of the table with `fuzzycnc import-csv`',
+    '.json': 'a model file stands behind --model',
+}
+"""What helps, by the ending of a file that is no bag."""
+
 _OPEN_MAX = 64
 """Most storage files that are open at once; a bag of a year has more than a process may open."""
 
@@ -318,10 +326,8 @@ class BagReader:
 
     def _open_file(self, path: Path) -> Contents:
         if path.suffix not in ('.mcap', '.db3'):
-            raise BagFormatError(
-                f'{path}: expected a .mcap or .db3 file; where rosbag2 compressed whole files or '
-                'single messages, convert the bag with `ros2 bag convert` first'
-            )
+            remedy = _INSTEAD.get(path.suffix, _INSTEAD[''])
+            raise BagFormatError(f'{path}: expected a .mcap or .db3 file; {remedy}')
         file = SqliteFile(path) if path.suffix == '.db3' else McapFile(path)
         self._files.append(file)
         if isinstance(file, McapFile) and file.tear:

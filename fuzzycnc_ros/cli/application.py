@@ -4,11 +4,13 @@
 
 import inspect
 import os
+import re
 import sys
 import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from difflib import get_close_matches
 from importlib import import_module
 from types import MappingProxyType
 from typing import Annotated, Any
@@ -25,6 +27,7 @@ from fuzzycnc_ros.cli.quantities import with_their_units
 from fuzzycnc_ros.cli.remedies import command_with, sentence
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.core.remedies import remedied
+from fuzzycnc_ros.core.units import with_point
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.processes import StopRequest, interruptible
 from fuzzycnc_ros.ros.streams import steady_streams
@@ -44,6 +47,11 @@ ENDED_BY = 128
 # What the command line itself refuses; typer keeps the classes in different places.
 _Refusal: type[Exception] = next(
     kind for kind in reversed(typer.BadParameter.__mro__) if hasattr(kind, 'format_message')
+)
+
+
+_NO_NUMBER = re.compile(
+    r"'([^']*)' is not a valid (?:float|integer)|expected a valid \w+ but found '([^']*)'"
 )
 
 
@@ -101,6 +109,18 @@ def manual(text: str) -> str:
 _SETTINGS = {'help_option_names': ['-h', '--help']}
 
 
+class _Group(TyperGroup):
+    """Commands; of one that does not exist the nearest are proposed, whatever typer does."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the command that the first word names."""
+        if args and not args[0].startswith('-') and self.get_command(ctx, args[0]) is None:
+            near = get_close_matches(args[0], self.list_commands(ctx))
+            proposal = f'; did you mean {" or ".join(map(repr, near))}?' if near else ''
+            ctx.fail(f'No such command {args[0]!r}{proposal}')
+        return super().resolve_command(ctx, args)
+
+
 class Application:
     """A command line.
 
@@ -135,7 +155,7 @@ class Application:
         self._alone = alone
         self.renamed = renamed
 
-        class InOrder(TyperGroup):
+        class InOrder(_Group):
             """Lists commands in their order, under headings, and loads one when it is used."""
 
             _listing = False
@@ -303,7 +323,7 @@ def _add(to: typer.Typer, commands: Mapping[str, Callable[..., Any] | CommandGro
         # The whole first paragraph: typer would cut it at 45 characters.
         short = ' '.join(text.split('\n\n')[0].split())
         if isinstance(command, CommandGroup):
-            group = typer.Typer(rich_markup_mode=None, context_settings=_SETTINGS)
+            group = typer.Typer(cls=_Group, rich_markup_mode=None, context_settings=_SETTINGS)
             _add(group, command.commands)
             to.add_typer(group, name=name, help=text, short_help=short)
         else:
@@ -342,6 +362,17 @@ def _is_named(error: Exception) -> bool:
     return isinstance(error, kinds)
 
 
+def _with_value(text: str, error: Exception) -> str:
+    """Return what typer says of a value that is no number, with the value in all its versions."""
+    of_value = getattr(error.__cause__, 'errors', None)
+    if of_value is not None:
+        (first, *_) = of_value()
+        told = first['msg'].partition(',')[0].replace('Input should be', 'expected')
+        text = f'{text.partition(": ")[0]}: {told} but found {first["input"]!r}'
+    found = _NO_NUMBER.search(text)
+    return text + (with_point(found[1] or found[2]) if found else '')
+
+
 def _line(error: Exception, name: str) -> str:
     """Return an error in one line."""
     if isinstance(error, _PipeError):
@@ -355,7 +386,7 @@ def _line(error: Exception, name: str) -> str:
         text = error.format_message()  # type: ignore[attr-defined]
         context = getattr(error, 'ctx', None)
         command = context.command_path if context is not None else name
-        text = f'{text.rstrip(".")}; see `{command} --help`'
+        text = f'{_with_value(text.rstrip("."), error)}; see `{command} --help`'
     elif isinstance(error, OSError):
         text = os_sentence(error)
     elif isinstance(cause := error.__cause__, OSError) and str(cause) in str(error):

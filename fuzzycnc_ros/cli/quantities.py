@@ -18,6 +18,7 @@ from fuzzycnc_ros.core.units import (
     in_si,
     listed,
     split_quantity,
+    with_point,
 )
 
 DURATIONS: Mapping[str, float] = MappingProxyType({'s': 1.0, 'min': MINUTE, 'h': 60.0 * MINUTE})
@@ -69,21 +70,43 @@ def quantity(
     ValueError: --tolerance: expected a unit, one of mm, um, m, inch, but found '0.01'; \
 such as 0.01mm
     """
+    return _quantity(option, text, text, units, example, zero)
+
+
+def signed_quantity(option: str, text: str, units: Mapping[str, float], *, example: str) -> float:
+    """Return a number with its unit and sign in SI; all else as `quantity`.
+
+    Examples
+    --------
+    >>> from fuzzycnc_ros.core.units import LENGTHS
+    >>> signed_quantity('Y', '-2um', LENGTHS, example='-3um')
+    -2e-06
+    >>> signed_quantity('Y', '-2', LENGTHS, example='-3um')
+    Traceback (most recent call last):
+    ValueError: Y: expected a unit, one of mm, um, m, inch, but found '-2'; such as -3um
+    """
+    plain = text.strip()
+    sign = -1.0 if plain.startswith('-') else 1.0
+    return sign * _quantity(option, text, plain.removeprefix('-'), units, example, True)
+
+
+def _quantity(
+    option: str, text: str, plain: str, units: Mapping[str, float], example: str, zero: bool
+) -> float:
+    """Return the value of `plain`, which is what counts of the text that was given."""
     known = ', '.join(units)
-    found = split_quantity(text)
+    found = split_quantity(plain)
+    told = f'but found {text!r}{with_point(text) or f"; such as {example}"}'
     if found is None:
-        raise ValueError(
-            f'{option}: expected a number with a unit ({known}) but found {text!r}; such as '
-            f'{example}'
-        )
+        raise ValueError(f'{option}: expected a number with a unit ({known}) {told}')
     number, unit = found[0], found[1].lower()
     if unit not in units:
         wanted = f'expected a unit, one of {known},' if len(units) > 1 else f'expected {known}'
-        raise ValueError(f'{option}: {wanted} but found {text!r}; such as {example}')
+        raise ValueError(f'{option}: {wanted} {told}')
     value = number * units[unit]
     if not isfinite(value) or value < 0.0 or (value == 0.0 and not zero):
         wanted = 'a number of 0 or more' if zero else 'a number above 0'
-        raise ValueError(f'{option}: expected {wanted} but found {text!r}; such as {example}')
+        raise ValueError(f'{option}: expected {wanted} {told}')
     return value
 
 
@@ -120,7 +143,9 @@ def in_declared_unit(name: str, text: str, unit: str) -> float:
     kind, units = DECLARED[unit]
     value = in_si(text, units)
     if value is None:
-        raise ValueError(f'{name}: expected {kind} in {listed(units)} but found {text!r}')
+        raise ValueError(
+            f'{name}: expected {kind} in {listed(units)} but found {text!r}{with_point(text)}'
+        )
     return value
 
 
@@ -138,7 +163,10 @@ def number_in(units: Mapping[str, float], kind: str) -> Callable[[str | float], 
     def read(text: str | float) -> float:
         value = in_si(str(text), units)
         if value is None:
-            raise typer.BadParameter(f'expected {kind} in {listed(units)} but found {str(text)!r}')
+            raise typer.BadParameter(
+                f'expected {kind} in {listed(units)} but found {str(text)!r}'
+                f'{with_point(str(text))}'
+            )
         return value
 
     return read
@@ -149,7 +177,7 @@ _UNITS = frozenset(
     for units in (*(units for _, units in DECLARED.values()), FORCES, SIZES, SPELLINGS)
     for name in units
 )
-_NUMBER = re.compile(r'(?:-{0,2}[\w.-]+=)?[-+]?[\d.]+(?:e[-+]?\d+)?(?:x[\d.]+)?', re.IGNORECASE)
+_NUMBER = re.compile(r'(?:-{0,2}[\w.-]+=)?[-+]?[\d.,]+(?:e[-+]?\d+)?(?:x[\d.]+)?', re.IGNORECASE)
 
 
 def with_their_units(words: Sequence[str]) -> list[str]:

@@ -75,6 +75,8 @@ SPELLINGS = MappingProxyType({'µm': 'um', 'μm': 'um', 'in': 'inch', 'in/min': 
 
 _QUANTITY = re.compile(rf'\s*({NUMBER}|[-+]?(?:nan|inf))\s*(.*?)\s*', re.IGNORECASE)
 
+_DECIMAL_COMMA = re.compile(r'[-+]?\d+,\d+(?:[eE][-+]?\d+)?\s*(?:[^\d\s,][^,]*)?')
+
 _WRITTEN = MappingProxyType({'m': 'mm', 's': 'ms', 'm/s': 'mm/s'})
 """Units that are usual on the shop floor, by the SI unit."""
 
@@ -109,6 +111,20 @@ def in_si(text: str, units: Mapping[str, float]) -> float | None:
     scale = {name.lower(): value for name, value in units.items()}.get(unit.lower())
     # 5 um are 5e-06 m, and not 4.9999999999999996e-06 m.
     return None if scale is None else float(f'{number * scale:.15g}')
+
+
+def with_point(text: str) -> str:
+    """Return the remedy of a number with a decimal comma; empty if it is none.
+
+    Examples
+    --------
+    >>> with_point('0,01mm'), with_point('far')
+    ('; decimals take a point, as in 0.01mm', '')
+    """
+    plain = text.strip()
+    if not _DECIMAL_COMMA.fullmatch(plain):
+        return ''
+    return f'; decimals take a point, as in {plain.replace(",", ".", 1)}'
 
 
 def listed(units: Mapping[str, float]) -> str:
@@ -162,7 +178,9 @@ def si_value(value: object, unit: str) -> object:
     kind, units = DECLARED[unit]
     found = in_si(value, units)
     if found is None or not isfinite(found):
-        raise ValueError(f'expected {kind} in {listed(units)} but found {value!r}')
+        raise ValueError(
+            f'expected {kind} in {listed(units)} but found {value!r}{with_point(value)}'
+        )
     return found
 
 

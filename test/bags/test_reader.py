@@ -331,6 +331,8 @@ def test_hostile_metadata_is_refused(small_bag, content, complaint):
         ('a.mcap', MAGIC + b'\x06' + b'\xff' * 8, 'truncated at byte 8'),
         ('a.db3', b'no database' * 100, 'sqlite3 bag'),
         ('a.bag', b'#ROSBAG V2.0\n', 'ros2 bag convert'),
+        ('a.csv', b't,t1\n', 'fuzzycnc import-csv'),
+        ('a.json', b'{}', 'behind --model'),
     ],
 )
 def test_no_bag_is_refused(tmp_path, name, content, complaint):

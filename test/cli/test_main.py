@@ -97,8 +97,28 @@ def test_help_loads_nothing_heavy():
     assert (done.stdout.splitlines()[-1], done.stderr) == ('', '')
 
 
-def test_unknown_command(refused):
-    refused('trian', naming=["'trian'", '--help'])
+@pytest.mark.parametrize(
+    ('typed', 'proposed'),
+    [
+        ('trian', "; did you mean 'train'?; see `fuzzycnc --help`"),
+        ('machine idnetify', "; did you mean 'identify'?; see `fuzzycnc machine --help`"),
+        ('measure', "No such command 'measure'; see `fuzzycnc --help`"),
+        ('--verson', '--version'),
+    ],
+)
+def test_of_an_unknown_command_the_nearest_is_proposed(refused, typed, proposed):
+    refused(*typed.split(), naming=[typed.split()[-1], proposed])
+
+
+@pytest.mark.parametrize(
+    ('typed', 'said'),
+    [
+        ('--rate 0,5', "'--rate': expected a valid number but found '0,5'; decimals take a point"),
+        ('--rate many', "'--rate': expected a valid number but found 'many'; see"),
+    ],
+)
+def test_what_is_no_number_is_shown(refused, typed, said):
+    refused('up', *typed.split(), naming=[said])
 
 
 def test_misspelt_option_gets_a_proposal(refused):

@@ -6,8 +6,14 @@ import pytest
 import typer
 
 from fuzzycnc_ros.cli.options import node_parameters
-from fuzzycnc_ros.cli.quantities import in_declared_unit, number_in, quantity, with_their_units
-from fuzzycnc_ros.core.units import DECLARED, LENGTHS, TIMES
+from fuzzycnc_ros.cli.quantities import (
+    in_declared_unit,
+    number_in,
+    quantity,
+    signed_quantity,
+    with_their_units,
+)
+from fuzzycnc_ros.core.units import DECLARED, LENGTHS, TIMES, si_value, with_point
 from fuzzycnc_ros.registry import COMPONENTS
 
 
@@ -68,6 +74,29 @@ def test_a_unit_of_another_kind_is_refused_and_the_right_one_is_named(given, mes
     name = given.partition('=')[0]
     with pytest.raises(ValueError, match=f'^{name}: expected {message}'):
         node_parameters('set', [given])
+
+
+@pytest.mark.parametrize(
+    'read',
+    [
+        lambda text: quantity('--tolerance', text, LENGTHS, example='20um'),
+        lambda text: signed_quantity('Y', text, LENGTHS, example='-3um'),
+        lambda text: in_declared_unit('compensator.offset_max', text, 'm'),
+        lambda text: number_in(LENGTHS, 'a length')(text),
+        lambda text: si_value(text, 'm'),
+    ],
+)
+@pytest.mark.parametrize('typed', ['0,01mm', '-2,5 um', '0,01', '1,5e-2mm'])
+def test_a_decimal_comma_is_named(read, typed):
+    with pytest.raises((ValueError, typer.BadParameter)) as caught:
+        read(typed)
+    remedy = f'found {typed!r}; decimals take a point, as in {typed.replace(",", ".")}'
+    assert remedy in str(caught.value)
+
+
+@pytest.mark.parametrize('typed', ['1,2,3', '1,2 mm, 3', ',5mm', '5,', 'a,1', '1um,Y=2um'])
+def test_other_commas_are_none(typed):
+    assert with_point(typed) == ''
 
 
 def test_parameters_of_nodes_take_units_and_text_stays_text():

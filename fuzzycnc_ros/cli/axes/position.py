@@ -18,7 +18,6 @@ from fuzzycnc_ros.cli.axes.servo_axis import (
     check_controller,
     made_with,
     make_controller,
-    signed,
     warnings_said,
 )
 from fuzzycnc_ros.cli.completion import one_of
@@ -39,7 +38,7 @@ from fuzzycnc_ros.cli.options import (
     Report,
     given,
 )
-from fuzzycnc_ros.cli.quantities import quantity
+from fuzzycnc_ros.cli.quantities import quantity, signed_quantity
 from fuzzycnc_ros.core.units import LENGTHS, SHARES, TIMES
 
 if TYPE_CHECKING:
@@ -157,7 +156,7 @@ def position(
 
     known = _known(machine_file, axis)
     axis, data = known.name, known.data
-    target = signed('--to', to, LENGTHS, example='-50mm')
+    target = signed_quantity('--to', to, LENGTHS, example='-50mm')
     low, high = data.limits.travel_low, data.limits.travel_high
     if not (STEP_MIN <= abs(target) and low <= target <= high):
         raise ValueError(
@@ -194,7 +193,7 @@ def position(
         chosen = _controller(known, controller, plant, params)
     # It is told of the load, as a machine's data tell of it, or it would take it for a run-away.
     limits = chosen.watch.limits
-    pull = abs(signed('--load', load, SHARES, example='10%')) + BESIDE_LOAD
+    pull = abs(signed_quantity('--load', load, SHARES, example='10%')) + BESIDE_LOAD
     chosen.watch.limits = replace(limits, load=max(limits.load, min(pull, 1.0)))
     reference = _reference(target, profile, plant.period, data.limits.positioning)
     run = moved(chosen, plant, reference, length)
@@ -318,7 +317,7 @@ def _knobs(
 
 def _load(plain: 'PlantConfig', load: str, load_at: str) -> dict[str, tuple[str, Any]]:
     """Return the load as parameters of the axis."""
-    share = signed('--load', load, SHARES, example='10%')
+    share = signed_quantity('--load', load, SHARES, example='10%')
     if not -1.0 <= share <= 1.0:
         raise ValueError(f'--load: expected -100% to 100% of the drive but found {load!r}')
     if hasattr(plain, 'force_max'):

@@ -14,7 +14,6 @@ import typer
 
 from fuzzycnc_ros.cli.console import say
 from fuzzycnc_ros.cli.options import choice
-from fuzzycnc_ros.cli.quantities import quantity
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.servo.controller import AxisController
@@ -53,16 +52,6 @@ Axis = Annotated[
 Out = Annotated[
     Path, typer.Option(metavar='FILE', help='Where to write it: YAML, or JSON if it ends so.')
 ]
-
-
-def signed(option: str, text: str, units: Mapping[str, float], *, example: str) -> float:
-    """Return a number with its unit and sign in SI; errors as `quantity`."""
-    plain = text.strip()
-    sign = -1.0 if plain.startswith('-') else 1.0
-    try:
-        return sign * quantity(option, plain.removeprefix('-'), units, example=example, zero=True)
-    except ValueError as error:
-        raise ValueError(str(error).replace(repr(plain.removeprefix('-')), repr(text))) from None
 
 
 def check_axis(axis: str) -> None:

@@ -14,9 +14,9 @@ import typer
 from fuzzycnc_ros.cli.completion import live_settings, managed_nodes, one_of
 from fuzzycnc_ros.cli.console import JsonFile, check_ros, say, show, words, write_json
 from fuzzycnc_ros.cli.options import node_parameters
-from fuzzycnc_ros.cli.quantities import quantity
+from fuzzycnc_ros.cli.quantities import quantity, signed_quantity
 from fuzzycnc_ros.core.names import visible
-from fuzzycnc_ros.core.units import LENGTHS
+from fuzzycnc_ros.core.units import LENGTHS, with_point
 from fuzzycnc_ros.ros.bring_up import machine_name
 from fuzzycnc_ros.ros.presence import GraphError
 
@@ -383,12 +383,19 @@ def _now(operator: 'OperatorClient') -> int:
 def _displacements(values: list[str]) -> list[tuple[str, float, float]]:
     """Return axis, displacement [m] and position [m] of each value; NaN where none is told."""
     found: list[tuple[str, float, float]] = []
+    for text in values:  # a decimal comma would be one between two values
+        axis, _, rest = text.partition('=')
+        for part in rest.split('@'):
+            if remedy := with_point(part):
+                raise ValueError(f'{axis}: expected a length but found {part!r}{remedy}')
     for text in words(values):
         axis, equals, rest = text.partition('=')
         if not (equals and axis):
             raise ValueError(f'probe: expected AXIS=LENGTH such as Z=12um but found {text!r}')
         length, at, where = rest.partition('@')
-        place = _signed(axis, where, '-400mm') if at else float('nan')
+        place = float('nan')
+        if at:
+            place = signed_quantity(axis, where, LENGTHS, example='-400mm')
         if at and not abs(place) <= POSITION_MAX:
             raise ValueError(
                 f'{axis}: expected a position within {POSITION_MAX:g} m in machine coordinates '
@@ -400,14 +407,8 @@ def _displacements(values: list[str]) -> list[tuple[str, float, float]]:
                 f'probe: expected each axis once, or at places of its own such as '
                 f'{axis}=3um@-400mm {axis}=-52um@0mm, but found {axis} twice'
             )
-        found.append((axis, _signed(axis, length, '-3um'), place))
+        found.append((axis, signed_quantity(axis, length, LENGTHS, example='-3um'), place))
     return found
-
-
-def _signed(axis: str, text: str, example: str) -> float:
-    """Return a length with a sign [m]."""
-    sign = -1.0 if text.startswith('-') else 1.0
-    return sign * quantity(axis, text.removeprefix('-'), LENGTHS, example=example, zero=True)
 
 
 def _nobody(machine: str) -> str:

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fuzzycnc evaluate`: a model judged on recorded runs."""
 
+import shlex
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -163,6 +164,7 @@ def evaluate(
             json_file=json_file,
         )
         return
+    _check_places(bags, model)
     if carry or model is None:
         raise ValueError(
             f'{"--carry" if carry else "--model"}: expected --model with a model to judge, or '
@@ -216,6 +218,18 @@ def evaluate(
     write_json(json_file, _document(found, model, trained, document))
     if found.bad or false_bands(judged):
         raise typer.Exit(1)
+
+
+def _check_places(bags: 'Sequence[Path]', model: Path | None) -> None:
+    """Refuse a model among the bags."""
+    models = [path for path in bags if path.suffix == '.json']
+    if models:
+        exchanged = [] if model is None or model.suffix == '.json' else [model]
+        words = [*(path for path in bags if path not in models), *exchanged, '--model', models[0]]
+        raise ValueError(
+            f'{models[0]}: expected a bag but found a model file; type `fuzzycnc evaluate '
+            f'{shlex.join(map(str, words))}`'
+        )
 
 
 def judge_bag(

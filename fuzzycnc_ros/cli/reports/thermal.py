@@ -20,7 +20,7 @@ from fuzzycnc_ros.cli.console import (
     write_whole,
 )
 from fuzzycnc_ros.cli.options import OptionalPath, OptionalText, given
-from fuzzycnc_ros.cli.quantities import number_in, quantity
+from fuzzycnc_ros.cli.quantities import number_in, quantity, signed_quantity
 from fuzzycnc_ros.core.units import LENGTHS, TIMES
 
 if TYPE_CHECKING:
@@ -225,10 +225,7 @@ def _distances(texts: Sequence[str] | None) -> dict[str, float]:
     for axis, text in _pairs('--distance', texts, 'X=100mm').items():
         if axis not in ('X', 'Y'):
             raise ValueError(f'--distance: expected axis X or Y but found {axis!r}')
-        sign = -1.0 if text.startswith('-') else 1.0
-        found[axis] = sign * quantity(
-            '--distance', text.removeprefix('-'), LENGTHS, example='X=100mm'
-        )
+        found[axis] = signed_quantity('--distance', text, LENGTHS, example='X=100mm')
     return found
 
 

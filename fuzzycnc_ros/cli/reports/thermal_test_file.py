@@ -19,7 +19,7 @@ from fuzzycnc_ros.adapters.yaml_model import (
     scalar,
     wrong,
 )
-from fuzzycnc_ros.cli.quantities import quantity
+from fuzzycnc_ros.cli.quantities import signed_quantity
 from fuzzycnc_ros.core.units import LENGTHS
 from fuzzycnc_ros.studies.thermal_test.set_up import PROBES, TestSetUp
 
@@ -27,9 +27,8 @@ from fuzzycnc_ros.studies.thermal_test.set_up import PROBES, TestSetUp
 def _length(node: Any) -> float:
     """Return a length [m] of a text with a unit."""
     text = scalar(node, 'a length with its unit')
-    sign = -1.0 if text.startswith('-') else 1.0
     try:
-        return sign * quantity('length', text.removeprefix('-'), LENGTHS, example='0.2um')
+        return signed_quantity('length', text, LENGTHS, example='0.2um')
     except ValueError as error:
         raise wrong(str(error).removeprefix('length: ')) from None
 

@@ -577,6 +577,10 @@ def load_model(source: str | os.PathLike[str]) -> ThermalModel:
     if isinstance(source, str) and source.lstrip().startswith('{'):
         return ThermalModel.from_json(source)
     path = Path(source)
+    if path.is_dir():
+        raise ModelFileError(
+            f'{path}: expected a model file, as `fuzzycnc train` writes it, but found a folder'
+        )
     try:
         with path.open(encoding='utf-8') as file:
             text = file.read(SIZE_MAX + 1)

@@ -32,6 +32,9 @@ def test_a_probe_without_places_is_as_before():
     ('values', 'said'),
     [
         (['X=3um@-400'], 'expected a unit'),
+        (['Y=-2'], "Y: expected a unit, .* but found '-2'; such as -3um"),
+        (['Y=-2,5um', 'Z=1um'], "Y: .*'-2,5um'; decimals take a point, as in -2.5um"),
+        (['X=3um@-400,5mm'], "'-400,5mm'; decimals take a point"),
         (['X=3um@far'], 'expected a number with a unit'),
         (['X=3um@500m'], 'expected a position within 100 m'),
         (['X=3um@0mm', 'X=4um@0mm'], 'X twice'),

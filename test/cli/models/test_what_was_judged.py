@@ -47,6 +47,19 @@ def unrelated(columns, seed):
     columns['dz'] = (-1.0) ** seed * 10.0 * np.sin(np.arange(ROWS) / 17.0) + noise
 
 
+@pytest.mark.parametrize(
+    'words', [('m.json', '--model', 'run'), ('m.json', 'run'), ('run', 'm.json')]
+)
+def test_a_model_among_the_bags_is_named_with_the_line_to_type(refused, words):
+    refused('evaluate', *words, naming=['m.json', '`fuzzycnc evaluate run --model m.json`'])
+
+
+def test_a_folder_is_no_model(refused, tmp_path):
+    (tmp_path / 'run').mkdir()
+    naming = ['run: expected a model file', 'fuzzycnc train', 'found a folder']
+    refused('evaluate', 'run', '--model', tmp_path / 'run', naming=naming)
+
+
 # windows
 
 

@@ -551,6 +551,19 @@ def test_a_curve_that_stands_still_or_turns_back_is_scheduled(name):
     )
 
 
+@pytest.mark.parametrize('name', ['middle', 'middle, more than order 4', 'everywhere'])
+def test_a_corner_within_a_curve_is_rounded_and_bounds_the_feed_of_its_block(name):
+    order, points = REPEATED[name]
+    words = [f'X{x} Y{y} P1' for x, y in points]
+    text = f'G0 X0 Y0\nF1600\nG5.2 L{order} {words[0]}\n' + '\n'.join(words[1:]) + '\nG5.3\n'
+    found = schedule_program(read_program(text), made(blend=5e-6))
+    (path,) = (item.path for item in found.paths)
+    assert path.stop.tolist() == [True, *[False] * (len(path.stop) - 2), True]
+    # a corner of 37 degrees or more, rounded within 5 um, bends at least as much as this
+    assert path.curvature.max() > 9e3
+    assert found.feeds[-1] ** 2 * path.curvature.max() <= SIDEWAYS * (1.0 + 1e-9)
+
+
 @pytest.mark.parametrize('words', ['X0 Y0', 'X0 Y0 P2'])
 def test_a_curve_of_one_point_is_refused_by_its_line(words):
     text = f'G0 X0 Y0\nF600\nG5.2 L3 {words}\n{words}\n{words}\nG5.3\n'

@@ -45,6 +45,10 @@ STILL_LENGTH = 2e-9
 _PROBES = 9
 """Places in a span of a curve at which its speed is looked at."""
 _NARROWINGS = 60
+_STEPS = 2
+"""Newton's steps before the last one for a place of a curve that nowhere comes to rest."""
+_CLOSE = 1e-9
+"""Excess that one more of them makes none [m]."""
 _ASIDE = 1e-6
 """Share of a stretch at which a point without a direction takes the one of its neighbour."""
 
@@ -96,14 +100,18 @@ class _CurveStretch:
     def _parameter(self, place: Array) -> Array:
         """Return the parameters at arc lengths: from those of the nodes beside them by Newton."""
         found = np.asarray(np.interp(place, self.place, self.node))
-        between = np.flatnonzero(~np.isin(place, self.place))
-        for _ in range(3 if len(between) else 0):
-            at = found[between]
-            excess = self.curve.arc_length(at) - self.offset - place[between]
+        todo = np.flatnonzero(~np.isin(place, self.place))
+        for count in range(_NARROWINGS):
+            if not len(todo):
+                break
+            at = found[todo]
+            excess = self.curve.arc_length(at) - self.offset - place[todo]
             speed = vector_lengths(self.curve.derivative(at))
             step = excess / np.maximum(speed, 1e-30)
-            row = np.clip(np.searchsorted(self.place, place[between]), 1, len(self.node) - 1)
-            found[between] = np.clip(at - step, self.node[row - 1], self.node[row])
+            row = np.clip(np.searchsorted(self.place, place[todo]), 1, len(self.node) - 1)
+            found[todo] = np.clip(at - step, self.node[row - 1], self.node[row])
+            if count >= _STEPS:  # beside equal control points each step only halves the excess
+                todo = todo[np.abs(excess) > _CLOSE]
         return found
 
 

@@ -113,7 +113,7 @@ class _BlockFeeds:
         count = np.diff(np.append(first, len(path.owner)))
         near = near_neighbours(path, np.repeat(own, count), bend, self._plan)
         length = np.diff(path.geometry.node)
-        kind = np.where(path.blend, _BLEND, np.where(near, _EDGE, _CORE))
+        kind = np.where(path.blend & ~_within_blocks(path), _BLEND, np.where(near, _EDGE, _CORE))
         chosen = kind == np.arange(3)[:, np.newaxis]
         return [
             np.minimum.reduceat(np.where(chosen, feed, inf), first, axis=1),
@@ -156,6 +156,17 @@ class _BlockFeeds:
         found = [self._low] * self._group
         self._group, self._low, self._high = 0, inf, -inf
         return found
+
+
+def _within_blocks(path: ReferencePath) -> NDArray[np.bool_]:
+    """Return the pieces, (m,), that have one block from blend to blend, or as far as one goes.
+
+    A blend is half of the block before it and half of the one behind: that of a corner within a
+    curve is a bend of its own block.
+    """
+    first = np.flatnonzero(np.diff(path.blend, prepend=~path.blend[:1]))
+    end = np.append(first[1:], len(path.blend))
+    return np.repeat(path.owner[first] == path.owner[end - 1], end - first)
 
 
 def stream_ratio(scheduler: Scheduler, parts: Iterable[SampledPath]) -> Iterator[Array]:
