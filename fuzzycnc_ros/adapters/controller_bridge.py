@@ -66,8 +66,7 @@ class ControllerBridgeConfig(Config):
     validity_max: float = param(
         180.0,
         's',
-        'How long after its stamp a command acts at most, whatever it says itself: three times '
-        'the period of its source',
+        'How long after its stamp a command acts at most: three times the period of its source',
         low=0.01,
         high=7200.0,
     )

@@ -106,8 +106,8 @@ class ExecutorConfig(Config):
     executor: str = param(
         'lean',
         '-',
-        "What calls the node: the package's own executor, or rclpy's SingleThreadedExecutor, "
-        'slower, for comparison; one node that asks for it decides for its process',
+        "Executor of the process: the package's own, or the slower SingleThreadedExecutor of "
+        'rclpy',
         choices=('lean', 'rclpy'),
     )
 
@@ -125,8 +125,8 @@ class HostConfig(ExecutorConfig):
     stamp_ahead_max: float = param(
         60.0,
         's',
-        'Time by which a stamp may be ahead of the clock of the node in real time before its '
-        'message is refused, 60 times as much with use_sim_time; 0 for any time',
+        "Time by which a stamp may be ahead of the node's clock, 60 times as much with "
+        'use_sim_time; 0 is any',
         low=0.0,
         high=1e9,
     )
@@ -264,8 +264,7 @@ class MtconnectAdapterConfig(ExecutorConfig):
     listen: str = param(
         '127.0.0.1',
         '-',
-        'Address to serve agents at; SHDR is neither encrypted nor does it ask who reads, so '
-        'another one is for a network where all may',
+        'Address to serve agents at; SHDR has no encryption and no login',
     )
     port: int = param(
         7878, '-', 'TCP port to serve agents at; 0 takes a free one', low=0, high=65535
@@ -279,7 +278,7 @@ class MtconnectAdapterConfig(ExecutorConfig):
     age_max: float = param(
         150.0,
         's',
-        'Age beyond which a value is told as UNAVAILABLE; longer than the sampling interval',
+        'Age beyond which a value is UNAVAILABLE; longer than the sampling interval',
         low=0.1,
         high=86400.0,
     )
@@ -323,8 +322,7 @@ class DashboardConfig(ExecutorConfig):
     listen: str = param(
         '127.0.0.1',
         '-',
-        'Address to serve the page at; any that other computers reach is served encrypted, and '
-        'acting then needs the token',
+        'Address to serve the page at; beyond this computer encrypted, and acting needs the token',
     )
     port: int = param(
         8642, '-', 'Port to serve the page at; 0 takes a free one', low=0, high=65535
@@ -338,8 +336,7 @@ class DashboardConfig(ExecutorConfig):
     bags: str = param(
         '',
         '-',
-        'Folder of bags: recordings started on the page go there, its bags can be taken from the '
-        'page and tell what was before its own memory; empty for none',
+        'Folder of recordings started on the page, and of bags to download; empty for none',
     )
     state_directory: str = param(
         '',
@@ -350,8 +347,7 @@ class DashboardConfig(ExecutorConfig):
     token_file: str = param(
         '',
         '-',
-        'File with the token that acting needs, also where the page is served to this computer '
-        'alone; empty: one of its own where others reach the page, none where they do not',
+        'File with the token for acting; empty: one is made where other computers reach the page',
     )
     certificate: str = param(
         '',

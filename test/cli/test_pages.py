@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import IO
 
 import pytest
 
@@ -126,15 +127,18 @@ class Reader:
             'XDG_CONFIG_HOME': str(folder.parent / 'config'),
         }
         self._beside: subprocess.Popen[bytes] | None = None
+        self._log = folder.parent / 'beside.log'
 
-    def start(self, statement: str) -> subprocess.Popen[bytes]:
+    def start(
+        self, statement: str, output: int | IO[bytes] = subprocess.PIPE
+    ) -> subprocess.Popen[bytes]:
         """Type a statement."""
         return subprocess.Popen(
             ['bash', '-ec', statement],
             cwd=self.folder,
             env=self._environment,
             stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
+            stdout=output,
             stderr=subprocess.STDOUT,
             start_new_session=True,
         )
@@ -146,7 +150,8 @@ class Reader:
         if lasting or 'fuzzycnc up' in statement:
             self.leave()  # a machine has one graph
         if lasting and not ends:
-            self._beside = self.start(statement)
+            with self._log.open('wb') as output:
+                self._beside = self.start(statement, output)
             self._settle(statement)
             return
         process = self.start(statement)
@@ -155,14 +160,19 @@ class Reader:
         assert 'Traceback' not in said, f'{statement}\n{said}'
 
     def _settle(self, statement: str) -> None:
-        """Wait until what runs beside has been up for a while."""
+        """Wait until what runs beside has been up for a while, and its nodes have reported."""
         assert self._beside is not None
-        until = time.monotonic() + 8.0
-        while time.monotonic() < until:
+        begin = started = time.monotonic()
+        while time.monotonic() - begin < 120.0:
+            said = self._log.read_text()
             if self._beside.poll() is not None:
-                said = self._beside.communicate()[0].decode()
                 pytest.fail(f'{statement}: ended with {self._beside.returncode}\n{said}')
+            if 'fuzzycnc up' in statement and 'all started' not in said:
+                started = time.monotonic()  # slow on a busy computer
+            if time.monotonic() - started > 8.0:
+                return
             time.sleep(0.1)
+        pytest.fail(f'{statement}: not started within 120 s\n{said}')
 
     def leave(self) -> None:
         """End what runs beside, as by Ctrl-C; it must end well."""
@@ -170,7 +180,8 @@ class Reader:
             return
         process, self._beside = self._beside, None
         os.killpg(process.pid, signal.SIGINT)
-        said = process.communicate(timeout=60)[0].decode()
+        process.wait(timeout=60)
+        said = self._log.read_text()
         assert process.returncode in (0, 130), f'{process.args}\n{said}'
         assert 'Traceback' not in said, f'{process.args}\n{said}'
 
@@ -178,7 +189,7 @@ class Reader:
         """End what is left after a failure."""
         if self._beside is not None:
             os.killpg(self._beside.pid, signal.SIGKILL)
-            self._beside.communicate()
+            self._beside.wait()
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import runpy
 from pathlib import Path
 
 import pytest
+from rules import for_each
 
 ROOT = Path(__file__).parents[2]
 DOCS = runpy.run_path(str(ROOT / 'tools' / 'make_docs.py'))
@@ -68,3 +69,27 @@ def test_prose_is_sentences_without_code_tables_and_headings():
         'Another one with code and a link!',
         'a point of a list',
     ]
+
+
+@for_each(DOCS['pages']().items(), lambda case: case[0])
+def test_pages_are_easy_to_read(page, text):
+    assert DOCS['clumsy'](page, text) == []
+
+
+@pytest.mark.parametrize(
+    ('page', 'text'),
+    [
+        ('docs/tutorials/a.md', f'{"Word " * 26}.'),
+        ('docs/explanation/a.md', 'word. ' * 121),
+        ('docs/explanation/a.md', '- Nobody misses it.'),
+        ('docs/how-to/a.md', 'What is left are 3 µm.'),
+        ('docs/how-to/a.md', 'It leaves 3 um.'),
+    ],
+)
+def test_what_is_hard_to_read_is_seen(page, text):
+    assert len(DOCS['clumsy'](page, text)) == 1
+
+
+def test_code_tables_and_names_may_be_as_they_are():
+    text = f'# What is left\n\n| um |\n\n```\n{"um " * 130}\n```\n\nSee `tell(um)`.\n'
+    assert DOCS['clumsy']('docs/how-to/a.md', text) == []

@@ -46,8 +46,8 @@ class LineBridgeConfig(ControllerBridgeConfig):
     takeover_time: float = param(
         1.0,
         's',
-        'How long nobody may have written before this bridge takes hold; below the watchdog time '
-        'of the control',
+        "Silence of other writers before this bridge takes over; below the control's watchdog "
+        'time',
         low=0.1,
         high=60.0,
     )

@@ -86,7 +86,7 @@ class JointTrajectoryBridge(MotionSender[JointTrajectoryBridgeConfig, JointRun])
     """Follow goals, one at a time, and tell where the joints are."""
 
     NAME = 'joint_trajectory_bridge'
-    SUMMARY = 'Follows joint trajectories of ROS, tells joint states. Managed lifecycle.'
+    SUMMARY = 'Follows joint trajectories of ROS, publishes joint states. Managed lifecycle.'
     CONFIG = JointTrajectoryBridgeConfig
     MACHINE = Input('machine_state', MachineState, max_age=600.0, quiet=True)
     FOLLOWED = Input('trajectory_state', TrajectoryState, quiet=True, paced=False)

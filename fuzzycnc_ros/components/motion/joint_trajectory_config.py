@@ -23,15 +23,14 @@ class JointTrajectoryBridgeConfig(Config):
     velocity_max: float = param(
         0.25,
         'm/s',
-        'Velocity of an axis above which a goal is refused; the machine has a limit of its own',
+        'Velocity of an axis above which a goal is refused',
         low=1e-6,
         high=10.0,
     )
     acceleration_max: float = param(
         4.0,
         'm/s^2',
-        'Acceleration of an axis above which a goal is refused, and by which a goal is stopped; '
-        'the machine has a limit of its own',
+        'Acceleration above which a goal is refused, and of a stop',
         low=1e-6,
         high=1000.0,
     )
@@ -88,7 +87,7 @@ class JointTrajectoryBridgeConfig(Config):
     rest_period: float = param(
         1.0,
         's',
-        'Time between two joint states while axes rest and the machine tells nothing new',
+        'Time between two joint states while axes rest',
         low=0.1,
         high=60.0,
     )

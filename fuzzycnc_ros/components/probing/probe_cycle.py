@@ -127,7 +127,7 @@ class ProbeCycle(Component[ProbeCycleConfig]):
 
     NAME = 'probe_cycle'
     SUMMARY = (
-        'Touches of a probing cycle in, checked displacement out; tells the control when a cycle '
+        'Checks the touches of a probing cycle, publishes displacement, and reports when a cycle '
         'is due.'
     )
     CONFIG = ProbeCycleConfig

@@ -72,8 +72,8 @@ class DeformationCompensatorConfig(CompensationConfig):
     on_refused: str = param(
         'zero',
         '-',
-        'What becomes of a pattern in which the gate refuses steps: zero = they get no '
-        'compensation and it is stitched, stop = it is not',
+        'Pattern with refused steps: zero = stitched, these steps uncompensated; stop = not '
+        'stitched',
         choices=('zero', 'stop'),
         live=True,
     )

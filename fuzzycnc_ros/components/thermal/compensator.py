@@ -59,8 +59,8 @@ class CompensatorConfig(Config):
     error_max: float = param(
         200e-6,
         'm',
-        'Largest thermal error that a model may say; what is beyond is held to be wrong, where '
-        'one beyond offset_max is cut',
+        'Largest plausible thermal error; beyond it is invalid, where one beyond offset_max is '
+        'cut',
         low=1e-6,
         high=1e-2,
         live=True,
@@ -88,8 +88,7 @@ class CompensatorConfig(Config):
     band_share: float = param(
         0.0,
         '-',
-        'Half width of the band of two standard deviations, over what is taken off, up to which '
-        'an axis begins to be followed; it ends where the band is wider; 0 follows any',
+        'Half width of the band over the correction up to which an axis is compensated; 0 is any',
         low=0.0,
         high=1.0,
         live=True,
@@ -104,8 +103,7 @@ class CompensatorConfig(Config):
     program_wait: float = param(
         0.0,
         's',
-        'How long an axis that begins or ends to be followed waits for the end of a program that '
-        'runs; 0 does not wait',
+        'How long a start or stop of compensation waits for the end of a program; 0 does not wait',
         low=0.0,
         high=86400.0,
         live=True,

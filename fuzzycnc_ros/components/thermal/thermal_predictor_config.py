@@ -45,8 +45,8 @@ class ThermalPredictorConfig(Config):
     warm_reference: bool = param(
         False,
         '-',
-        'Accept a thermal reference that was taken while the machine was warm; without it, what '
-        'is predicted from one is out of domain',
+        'Accept a thermal reference of a warm machine; otherwise its predictions are out of '
+        'domain',
         live=True,
     )
     gap_max: float = param(
