@@ -236,18 +236,15 @@ def series(variant: Variant) -> str:
 
 def plot(stand: Stand, target: Path) -> None:
     """Draw time against contour error and against deviation, all runs of each path."""
+    from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, NullFormatter
 
-    from fuzzycnc_ros.studies.page.drawing import (
-        CLUSTER_COLOURS,
-        add_legend,
-        panel_grid,
-        plot_style,
-    )
+    from fuzzycnc_ros.studies.page.drawing import CLUSTER_COLOURS, plot_style
 
     kinds = sorted({series(one) for one in stand.asked.values()})
     with plot_style():
-        figure, panels = panel_grid(2 * len(FEEDS), columns=len(FEEDS), height=2.6)
+        figure = Figure(figsize=(10.0, 5.8), layout='constrained')
+        panels = figure.subplots(2, len(FEEDS)).flat
         handles: dict[str, object] = {}
         for index, axes in enumerate(panels):
             path = list(FEEDS)[index % len(FEEDS)]
@@ -275,7 +272,7 @@ def plot(stand: Stand, target: Path) -> None:
                 axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
                 axis.set_major_formatter('{x:g}')
                 axis.set_minor_formatter(NullFormatter())
-        add_legend(figure, list(handles.values()), list(handles))
+        figure.legend(handles.values(), handles, loc='outside upper left', ncols=4)
         figure.savefig(target, dpi=120, facecolor='white')
 
 

@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import re
 import sys
+import warnings
 from collections.abc import Callable
+from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -53,9 +55,9 @@ from fuzzycnc_ros.studies.page.drawing import (  # noqa: E402
     INK,
     MUTED,
     PALETTE,
+    THEME,
     plot_style,
 )
-from fuzzycnc_ros.studies.page.html import to_inline_svg  # noqa: E402
 from fuzzycnc_ros.studies.shift.learnt_days import joined, learn_days  # noqa: E402
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration, run_shift  # noqa: E402
 from fuzzycnc_ros.studies.soft.design_files import read_design  # noqa: E402
@@ -67,11 +69,13 @@ LIGHT, DARK = (
     ' '.join(f'--{name}: {colours[number]};' for name, colours in PALETTE.items())
     for number in range(2)
 )
-THEME = f"""<style>
+STYLE = f"""<style>
 svg {{ {LIGHT} }}
 @media (prefers-color-scheme: dark) {{ svg {{ {DARK} }} }}
 text {{ font-family: system-ui, sans-serif !important; }}
 MOTION</style>"""
+
+TAG, METADATA = re.compile(r'<[^>]*>'), re.compile(r'<metadata>.*?</metadata>', re.S)
 
 DRAWN = """@media (prefers-reduced-motion: no-preference) {
   #p-before path, #p-after path { stroke-dasharray: 1; animation: draw 9s linear infinite; }
@@ -93,16 +97,33 @@ def drawing(width: float, height: float) -> tuple[Any, Any]:
     return figure, figure.subplots()
 
 
+def inline_svg(figure: Any) -> str:
+    """Return a figure as an SVG element without size; colours with a meaning are CSS variables."""
+    stream = StringIO()
+    with warnings.catch_warnings():
+        # The page's fonts show the text; matplotlib only measures it by its own.
+        warnings.filterwarnings('ignore', 'Glyph .* missing from font')
+        figure.savefig(stream, format='svg', metadata={'Date': None, 'Creator': None})
+    text = stream.getvalue()
+    head, body = text[text.index('<svg') :].split('>', 1)
+    found = re.sub(r' (?:width|height)="[^"]*"', '', head) + '>' + METADATA.sub('', body)
+    for colour, variable in THEME.items():
+        found = found.replace(colour, f'var({variable})')
+    # Text keeps its decimals: it is read.
+    found = TAG.sub(lambda tag: re.sub(r'(\d\.\d\d)\d+', r'\1', tag[0]), found)
+    return re.sub(r'(\bid="|url\(#|xlink:href="#)', r'\g<1>p-', found).strip()
+
+
 def svg(figure: Any, motion: str = '') -> str:
     """Return a figure as a file of its own."""
     width, height = (round(72 * size) for size in figure.get_size_inches())
-    head, _, body = to_inline_svg(figure, 'p').partition('>')
+    head, _, body = inline_svg(figure).partition('>')
     body = re.sub(r'(<g id="p-(?:before|after)">\s*<path )', r'\1pathLength="1" ', body)
     # Names of clipped areas are hashes of what differs in its last digits from run to run.
     for number, name in enumerate(dict.fromkeys(re.findall(r'url\(#([^)]+)\)', body)), 1):
         body = body.replace(name, f'clip-{number}')
-    theme = THEME.replace('MOTION', motion)
-    return f'{head} width="{width}" height="{height}">\n{theme}{body}\n'
+    style = STYLE.replace('MOTION', motion)
+    return f'{head} width="{width}" height="{height}">\n{style}{body}\n'
 
 
 def _say(

@@ -193,7 +193,7 @@ def write_report(path: Path, page: 'Page') -> None:
     Raises
     ------
     ModuleNotFoundError
-        If matplotlib or jinja2 is not installed; the message says how to install it.
+        If jinja2 is not installed; the message says how to install it.
     """
     from fuzzycnc_ros.studies.page.html import render_page
 

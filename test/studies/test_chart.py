@@ -3,7 +3,6 @@
 """Figures as they are declared: what a browser gets, what is kept of many rows."""
 
 import json
-import re
 
 import numpy as np
 import pytest
@@ -16,22 +15,12 @@ from fuzzycnc_ros.studies.page.chart import (
     Band,
     Chart,
     Panel,
-    Picture,
     Rule,
     Series,
-    View,
+    Shades,
     kept_rows,
 )
-from fuzzycnc_ros.studies.page.drawing import (
-    AFTER,
-    BEFORE,
-    PALETTE,
-    THEME,
-    new_figure,
-    plot_style,
-)
-from fuzzycnc_ros.studies.page.html import to_inline_svg
-from fuzzycnc_ros.studies.page.paper import ROWS, draw_panel
+from fuzzycnc_ros.studies.page.drawing import AFTER, BEFORE, PALETTE, THEME
 
 
 def decoded(column):
@@ -130,20 +119,6 @@ def test_a_series_with_an_x_of_its_own_is_thinned_too():
     assert len(panel['x']['steps']) <= ROWS_MAX + 2
 
 
-def test_on_paper_each_of_many_series_keeps_its_own_course():
-    """A saw-tooth of an hour in two days, one of sixteen, each shifted against the others."""
-    pytest.importorskip('matplotlib', reason='matplotlib is not installed')
-    hours = np.linspace(0.0, 48.0, 7000)
-    teeth = [Series(f't{n}', (hours + n / 16.0) % 1.0, AFTER) for n in range(16)]
-    with plot_style():
-        axes = new_figure(2.0).subplots()
-        draw_panel(axes, Panel(hours, Axis('temperature'), teeth), Axis('time'))
-    for line in axes.get_lines():
-        y = line.get_ydata()
-        assert len(y) <= ROWS
-        assert np.count_nonzero(np.diff(y) < -0.9) == 48
-
-
 @given(st.integers(1, 300), st.integers(1, 4), st.integers(8, 120), st.integers(0, 2**32 - 1))
 def test_rows_that_are_kept_hold_the_extremes_of_each_column(count, columns, most, seed):
     rng = np.random.default_rng(seed)
@@ -189,36 +164,19 @@ def test_a_series_of_another_length_is_refused():
         Panel(np.arange(3.0), Axis('y'), [Series('y', [1.0], AFTER)], title='P')
 
 
-def test_a_picture_has_its_table():
-    table = Picture(None, {'job': ['a', 'b'], 'error [µm]': [1.0 / 3.0, np.nan]}).document()
-    assert table == {'table': [['job', 'error [µm]'], ['a', 0.3333333], ['b', '']], 'views': []}
-
-
-@pytest.mark.parametrize('scale', ['linear', 'log'])
-def test_a_view_knows_where_its_places_were_drawn(scale):
-    pytest.importorskip('matplotlib', reason='matplotlib is not installed')
-    x, y = np.array([1.0, 20.0, 300.0, -1.0]), np.array([3.0, 1.0, 2.0, np.nan])
-    with plot_style():
-        figure = new_figure(3.0)
-        axes = figure.subplots()
-        axes.plot(x[:3], y[:3], 'o')
-        axes.set_xscale(scale)
-        axes.set_xlabel('way [mm]; the rest')
-        axes.set_yticks([1.0, 2.0, 3.0], ['a', 'b', 'c'])
-    view = View(axes, x, y, rows=[4, 5, 6, 7])
-    picture = Picture(figure, {'x': x}, [view])
-    svg = to_inline_svg(figure, 'f1')
-    (found,) = picture.document()['views']
-    drawn = re.findall(r'<use [^>]*x="([\d.]+)" y="([\d.]+)" style="fill: #1f77b4', svg)
-    across, down = np.array(drawn, dtype=float).T
-    assert decoded(found['across']) == pytest.approx(across, abs=0.05)
-    assert decoded(found['down']) == pytest.approx(down, abs=0.05)
-    assert found['rows'] == [4, 5, 6]
-    left, top, _, height = found['box']
-    frame = re.search(r'id="f1-view-0">\s*<g [^>]*>\s*<path d="M ([\d.]+) ([\d.]+)', svg)
-    assert [left, top + height] == pytest.approx([*map(float, frame.groups())], abs=0.05)
-    assert (found['x']['name'], found['x']['unit'], found['x']['scale']) == ('way', 'mm', scale)
-    assert (found['x']['fixed'], found['y']['fixed']) == (False, True)
+def test_a_plane_keeps_the_order_of_its_places_and_their_levels():
+    x, y = np.array([3.0, 1.0, np.nan, 2.0]), np.array([0.0, 1.0, np.nan, 2.0])
+    level = np.array([np.nan, 5.0, np.nan, 7.5])
+    shades = Shades(Axis('error', 'µm'), [(0.0, '#ffffff'), (7.5, AFTER)], (5.0, 'tolerance'))
+    series = [Series('tool', y, AFTER, x=x, level=level)]
+    panel = Panel([], Axis('Y', 'mm'), series, plane=1.0, shades=shades)
+    found = only_panel(Chart(Axis('X', 'mm'), [panel]))
+    (drawn,) = found['series']
+    assert decoded(drawn['x']) == pytest.approx(x, nan_ok=True)
+    assert decoded(drawn['y']) == pytest.approx(y, nan_ok=True)
+    assert decoded(drawn['level']) == pytest.approx(level, nan_ok=True)
+    assert found['shades']['stops'] == [[0.0, '#ffffff'], [7.5, '--after']]
+    assert not Chart(Axis('X', 'mm'), [panel, panel]).linked
 
 
 def test_each_colour_has_one_name():

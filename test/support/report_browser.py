@@ -16,7 +16,7 @@ const wide = [...document.querySelectorAll('main .sheet')]
   .filter(box => box.scrollWidth > box.clientWidth).map(box => box.innerText.slice(0, 60));
 return {
   page: document.documentElement.scrollWidth, window: innerWidth, wide,
-  declared: document.querySelectorAll('figure:has(.screen > .panel)').length,
+  declared: document.querySelectorAll('figure').length,
   live: document.querySelectorAll('figure.live').length,
   canvases: document.querySelectorAll('figure.live canvas').length,
   ink: getComputedStyle(document.body).color,
@@ -67,14 +67,8 @@ class Reader:
         low, high = re.fullmatch(r'Shown: .* (\S+) to (\S+)(?: .*)?', said).groups()
         return [float(low), float(high)]
 
-    def view(self, figure: int, number: int = 0) -> Any:
-        """Return a view of a picture, in sight."""
-        found = self.driver.find_elements('css selector', f'#figure-{figure} .over')[number]
-        self.run("arguments[0].scrollIntoView({block: 'center'})", found)
-        return found
-
     def shown(self, figure: int) -> dict[str, list[float]]:
-        """Return the stretches that a picture says it shows, by axis; none while it is whole."""
+        """Return the stretches that a plane says it shows, by axis; none while it is whole."""
         said = self.run(
             'return document.querySelector(`#figure-${arguments[0]} .panel`)'
             '.lastElementChild.textContent',
@@ -85,7 +79,7 @@ class Reader:
         return {name: [float(low), float(high)] for name, low, high in found}
 
     def read(self, figure: int) -> str:
-        """Return what a picture reads out at the cursor."""
+        """Return what a plane reads out at the cursor."""
         return self.run(
             'return document.querySelector(`#figure-${arguments[0]} .nearest`).textContent', figure
         )

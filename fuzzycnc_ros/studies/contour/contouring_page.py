@@ -10,19 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Rule, Series, View
+from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Rule, Series, Shades
 from fuzzycnc_ros.studies.page.drawing import (
     AFTER,
+    BEFORE,
     FAINT,
-    INK,
     LIMIT,
     MEASURED,
-    new_figure,
-    plot_style,
 )
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.requirement import require
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.studies.contour.contouring import FollowedPath
@@ -32,6 +29,9 @@ Floats = NDArray[np.float64]
 
 PIECES = 2000
 """Pieces in which a path is drawn at most, about: more make a page large and slow, not better."""
+
+PALE = '#a9cdf2'
+"""Colour of no error."""
 
 
 def contouring_table(paths: Sequence[FollowedPath]) -> Table:
@@ -97,7 +97,7 @@ def _figures(path: FollowedPath) -> Iterator[Figure]:
         'The path of the tool, coloured by its contour error: blue within the tolerance, red '
         'beyond it. A good schedule leaves about the same error everywhere it is limited by the '
         'tolerance, and less where the limits of the axes hold it back.',
-        error_path_picture(path),
+        error_path_chart(path),
     )
     yield Figure(
         f'{path.name}: feed and speed',
@@ -112,16 +112,16 @@ def _figures(path: FollowedPath) -> Iterator[Figure]:
     )
 
 
-def error_path_picture(path: FollowedPath) -> Picture:
-    """Draw the path of the tool in its first two axes, coloured by contour error."""
+def error_path_chart(path: FollowedPath) -> Chart:
+    """Declare the path of the tool in its first two axes, coloured by contour error."""
     on = path.time >= 0.0
-    return path_picture(path.position[on][:, :2], path.error[on], path.axis[:2], path.tolerance)
+    return path_chart(path.position[on][:, :2], path.error[on], path.axis[:2], path.tolerance)
 
 
-def path_picture(
+def path_chart(
     point: Floats, error: Floats, axis: Sequence[str], tolerance: float = np.nan
-) -> Picture:
-    """Draw a path coloured by its error: blue within the tolerance, red beyond it.
+) -> Chart:
+    """Declare a path coloured by its error: blue within the tolerance, red beyond it.
 
     Parameters
     ----------
@@ -136,54 +136,25 @@ def path_picture(
     """
     # Of a long path each piece shows the largest error of a few samples.
     begin = np.arange(0, max(len(error) - 1, 1), 1 + len(error) // PIECES)
-    error = np.maximum(np.maximum.reduceat(error, begin), np.append(error[begin[1:]], error[-1]))
-    point = point[np.append(begin, len(point) - 1)]
-    colors = require('matplotlib.colors')
-    within = colors.LinearSegmentedColormap.from_list('within', ['#a9cdf2', '#1b5aa6'])
-    beyond = colors.LinearSegmentedColormap.from_list('beyond', ['#d2691e', LIMIT])
-    largest = 1e6 * float(error.max(initial=1e-9))
-    bound = 1e6 * tolerance if np.isfinite(tolerance) else largest
-    top = bound if largest <= bound else max(largest, 1.2 * bound)
-    share = bound / top
-    steps = np.linspace(0.0, 1.0, 256)
-    shades = np.where(
-        (steps <= share)[:, np.newaxis],
-        within(np.minimum(steps / share, 1.0)),
-        beyond(np.clip((steps - share) / max(1.0 - share, 1e-9), 0.0, 1.0)),
+    error = 1e6 * np.maximum(
+        np.maximum.reduceat(error, begin), np.append(error[begin[1:]], error[-1])
     )
-    with plot_style():
-        figure = new_figure(5.6)
-        axes = figure.subplots()
-        ends = np.stack([point[:-1], point[1:]], axis=1)
-        lines = require('matplotlib.collections').LineCollection(
-            1e3 * ends,
-            cmap=colors.ListedColormap(shades),
-            norm=colors.Normalize(0.0, top),
-            linewidths=1.8,
-            capstyle='round',
-        )
-        lines.set_array(1e6 * error)
-        axes.add_collection(lines)
-        axes.autoscale_view()
-        axes.set_aspect('equal', adjustable='datalim')
-        axes.set_xlabel(f'{axis[0]} [mm]')
-        axes.set_ylabel(f'{axis[1]} [mm]')
-        bar = figure.colorbar(lines, ax=axes, label='contour error [µm]', shrink=0.8, pad=0.02)
-        if np.isfinite(tolerance):
-            bar.ax.axhline(bound, color=INK, linewidth=1.2)
-            bar.ax.annotate(
-                'tolerance', (0.0, bound), xycoords=('axes fraction', 'data'), xytext=(-3.0, 0.0),
-                textcoords='offset points', ha='right', va='center', fontsize=7.5, color=INK,
-            )  # fmt: skip
-        return Picture(
-            figure,
-            {
-                f'{axis[0]} [mm]': 1e3 * point[1:, 0],
-                f'{axis[1]} [mm]': 1e3 * point[1:, 1],
-                'contour error [µm]': 1e6 * error,
-            },
-            [View(axes, 1e3 * point[1:, 0], 1e3 * point[1:, 1])],
-        )
+    point = 1e3 * point[np.append(begin, len(point) - 1)]
+    largest, bound = float(error.max(initial=1e-3)), 1e6 * tolerance
+    stops = [(0.0, PALE), (bound if np.isfinite(bound) else largest, AFTER)]
+    if largest > bound:
+        stops += [(bound, BEFORE), (max(largest, 1.2 * bound), LIMIT)]
+    mark = (bound, 'tolerance') if np.isfinite(bound) else None
+    level = np.append(np.nan, error)
+    series = Series('tool', point[:, 1], AFTER, 1.8, x=point[:, 0], level=level)
+    panel = Panel(
+        np.empty(0),
+        Axis(axis[1], 'mm'),
+        [series],
+        plane=1.0,
+        shades=Shades(Axis('contour error', 'µm'), stops, mark),
+    )
+    return Chart(Axis(axis[0], 'mm'), [panel], height=5.6)
 
 
 def speed_chart(path: FollowedPath) -> Chart:

@@ -17,10 +17,15 @@ from fuzzycnc_ros.simulation.thermal.grinder import GRINDER_AXES
 from fuzzycnc_ros.simulation.thermal.grinder_runs import record_flux_case, record_grinder
 from fuzzycnc_ros.studies.grinder.grinder_rivals import RIVALS, Rival
 from fuzzycnc_ros.studies.page.document import shown_as, to_document
-from fuzzycnc_ros.studies.page.html import Figure, Page, Section
+from fuzzycnc_ros.studies.page.html import Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table, tied
-from fuzzycnc_ros.studies.thermal.comparison import MARK, best_of, refusal_line
-from fuzzycnc_ros.studies.thermal.comparison_page import residuals_picture
+from fuzzycnc_ros.studies.thermal.comparison import (
+    BARS_MEAN,
+    MARK,
+    best_of,
+    refusal_line,
+    rmse_bars,
+)
 from fuzzycnc_ros.studies.thermal.summary import candidate_label, has_diverged, micrometres
 
 NOISES = (0.0, 0.02, 0.05, 0.10)
@@ -308,6 +313,15 @@ def _table(result: TrialResult) -> Table:
         ),
         rows=tuple(rows),
         strong=frozenset(strong),
+        bars=rmse_bars(
+            {
+                model: [scores[heading].rms for heading in headings]
+                for model, scores in result.scores.items()
+            },
+            result.problems,
+            range(1, 1 + len(headings)),
+        ),
+        bars_mean=BARS_MEAN,
     )
 
 
@@ -330,7 +344,6 @@ def grinder_page(comparison: GrinderComparison) -> Page:
                 heading=f'Grinder, {result.title}',
                 tables=[table],
                 remarks=grinder_remarks(result),
-                figures=[_bars(result)],
             )
             for table, result in zip(tables, comparison.trials, strict=True)
         ],
@@ -348,28 +361,3 @@ def grinder_remarks(result: TrialResult) -> list[str]:
         refusal_line(name, '; '.join(problems), in_table=name in result.scores)
         for name, problems in result.problems.items()
     ]
-
-
-def _bars(result: TrialResult) -> Figure:
-    columns = list(next(iter(result.scores.values())))
-    labels = {rival.name: rival.label for rival in RIVALS}
-    seen = [name for name in columns if name.rpartition(' ')[0] in result.trained_on]
-    note = f' {", ".join(seen)} are training runs.' if seen else ''
-    return Figure(
-        f'Grinder, {result.title}: what each model leaves',
-        'The root mean square residual; the further left, the better. Yellow: not to be trusted. '
-        f'Dots instead of bars: the axis is logarithmic. An arrow: diverged.{note}',
-        residuals_picture(
-            columns,
-            {
-                name: np.array([scores[column].rms for column in columns])
-                for name, scores in result.scores.items()
-            },
-            {
-                name: (labels.get(name) or candidate_label(name))
-                + (MARK if name in result.problems else '')
-                for name in result.scores
-            },
-            refused=result.problems,
-        ),
-    )

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Common part of all pages: tables, sections, drawings, templates.
+"""Common part of all pages: tables, sections, charts, templates.
 
-matplotlib and jinja2 are loaded when a plot or a page is asked for, rich when a table is printed.
+jinja2 is loaded when a page is asked for, matplotlib for a PDF, rich when a table is printed.
 """

@@ -2,13 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """A figure declared once: its data with names, units and colours by meaning.
 
-From a `Chart` follow the figure that a reader zooms into (`charts.js` beside the templates, by
-uPlot), the one on paper and without scripts (`fuzzycnc_ros.studies.page.paper`, by matplotlib)
-and the CSV file.  What is no course over x, such as bars or a path, is a `Picture`: drawn once by
-matplotlib, and zoomed into as far as it names its views.
+Pages draw a `Chart` by uPlot (`charts.js` beside the templates), which also gives its CSV file.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import floor, isfinite, log10
 from typing import Any, Literal
@@ -88,6 +85,8 @@ class Series:
         Whether it is one of many in the background: drawn thin and left out of the legend.
     text : sequence of str, length n
         What stands beside each dot.
+    level : array_like, shape (n,), optional
+        Values that colour a path by the shades of its panel, each the piece that ends there.
     """
 
     name: str
@@ -99,11 +98,14 @@ class Series:
     x: Floats | None = None
     quiet: bool = False
     text: Sequence[str] = ()
+    level: Floats | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, 'y', _finite(self.y))
         if self.x is not None:
             object.__setattr__(self, 'x', np.asarray(self.x, dtype=np.float64))
+        if self.level is not None:
+            object.__setattr__(self, 'level', _finite(self.level))
         if self.kind == 'line' and _alone(self.y):
             object.__setattr__(self, 'kind', 'dots')
 
@@ -167,6 +169,25 @@ class Span:
     name: str = ''
 
 
+@dataclass(frozen=True)
+class Shades:
+    """Colours of the levels of a path.
+
+    Parameters
+    ----------
+    axis : Axis
+        Name and unit of the levels.
+    stops : sequence of (float, str)
+        Levels, not falling, and their colours; between them colours are mixed.
+    mark : (float, str), optional
+        A level that is marked, such as a tolerance, and its name.
+    """
+
+    axis: Axis
+    stops: Sequence[tuple[float, str]]
+    mark: tuple[float, str] | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Panel:
     """One pair of axes.
@@ -189,6 +210,13 @@ class Panel:
         Stretches of x that are shaded.
     share : float
         Its height, where panels of a column differ.
+    plane : float
+        Scale of y over that of x where the panel shows places in a plane, and each series has an
+        x of its own in any order; 0 where x and y have scales of their own.
+    shades : Shades, optional
+        Colours of paths in a plane that have levels.
+    true_scale : bool
+        Whether a plane, in mm, is shown and printed in its own size.
     """
 
     x: Floats
@@ -199,6 +227,9 @@ class Panel:
     rules: Sequence[Rule] = ()
     spans: Sequence[Span] = ()
     share: float = 1.0
+    plane: float = 0.0
+    shades: Shades | None = None
+    true_scale: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, 'x', np.asarray(self.x, dtype=np.float64))
@@ -260,7 +291,7 @@ class Chart:
     def linked(self) -> bool:
         """True if all panels show the same stretch of x, so that zooming into one zooms all."""
         ends = {(float(p.x[0]), float(p.x[-1])) if len(p.x) else None for p in self.panels}
-        return len(self.panels) > 1 and len(ends) == 1
+        return len(self.panels) > 1 and len(ends) == 1 and not any(p.plane for p in self.panels)
 
     def document(self) -> dict[str, Any]:
         """Return all that a browser needs to draw it, as JSON has it."""
@@ -269,93 +300,12 @@ class Chart:
             'columns': self.columns,
             'height': self.height,
             'linked': self.linked,
-            'panels': [_panel_document(panel, self.x_axis) for panel in self.panels],
-        }
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """A pair of axes of a picture that a reader zooms into, and what is read there.
-
-    Axes with ticks at places of their own, such as the names of bars, stay as they are; those
-    with an aspect keep it.
-
-    Parameters
-    ----------
-    axes : matplotlib.axes.Axes
-        The axes.
-    x, y : array_like, shape (n,)
-        Places that are read, in the units of the axes; NaN where a row is not drawn.
-    rows : array_like of int, shape (n,), optional
-        Row of the picture's table that each place shows; the n rows as they come if absent.
-    read : mapping of str to sequence, optional
-        What is read at each place instead of a row: heading with unit -> n numbers or text.
-    """
-
-    axes: Any
-    x: ArrayLike
-    y: ArrayLike
-    rows: ArrayLike | None = None
-    read: Mapping[str, Sequence[Any] | NDArray[Any]] | None = None
-
-    def document(self) -> dict[str, Any]:
-        """Return where it lies on its figure, which was drawn before, as JSON has it."""
-        figure = self.axes.figure
-        point = 72.0 / figure.dpi
-        top = figure.bbox.height
-        box = self.axes.bbox
-        with np.errstate(all='ignore'):  # what a logarithmic axis cannot show
-            place = self.axes.transData.transform(np.column_stack([self.x, self.y]))
-        known = np.isfinite(place).all(axis=1)
-        rows = np.arange(len(place)) if self.rows is None else np.asarray(self.rows)
-        document = {
-            'id': self.axes.get_gid(),
-            'title': self.axes.get_title(loc='left'),
-            'box': [
-                round(point * value, 2) for value in (box.x0, top - box.y1, box.width, box.height)
+            'panels': [
+                _plane_document(panel, self.x_axis)
+                if panel.plane
+                else _panel_document(panel, self.x_axis)
+                for panel in self.panels
             ],
-            'together': self.axes.get_aspect() != 'auto',
-            'x': _shown_axis(self.axes.xaxis, self.axes.get_xlim()),
-            'y': _shown_axis(self.axes.yaxis, self.axes.get_ylim()),
-            'across': _encoded(point * place[known, 0], Axis('')),
-            'down': _encoded(point * (top - place[known, 1]), Axis('')),
-            'rows': rows[known].tolist(),
-        }
-        if self.read is not None:
-            document['read'] = _table(self.read)
-        return document
-
-
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """A figure that is shown as it is drawn, and the table behind it.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        What is shown.
-    columns : mapping of str to sequence
-        What it shows, for the CSV file: heading with unit -> numbers or text, all of one length.
-    views : sequence of View
-        Where a reader zooms into it.
-    true_scale : bool
-        Whether it keeps its size on the page and on paper.
-    """
-
-    figure: Any
-    columns: Mapping[str, Sequence[Any] | NDArray[Any]]
-    views: Sequence[View] = ()
-    true_scale: bool = False
-
-    def __post_init__(self) -> None:
-        for number, view in enumerate(self.views):
-            view.axes.set_gid(f'view-{number}')
-
-    def document(self) -> dict[str, Any]:
-        """Return the table behind it, and its views once it is drawn, as JSON has it."""
-        return {
-            'table': _table(self.columns),
-            'views': [view.document() for view in self.views],
         }
 
 
@@ -437,6 +387,36 @@ def _alone(values: Floats) -> bool:
         return False
     beside = np.concatenate([[False], known, [False]])
     return bool((known & ~beside[:-2] & ~beside[2:]).sum() > 0.5 * known.sum())
+
+
+def _plane_document(panel: Panel, x_axis: Axis) -> dict[str, Any]:
+    series = [
+        {
+            'name': item.name,
+            'colour': shown_colour(item.colour),
+            'width': item.width,
+            'kind': item.kind,
+            'x': _encoded(_finite(item.x if item.x is not None else panel.x), x_axis),
+            'y': _encoded(item.y, panel.y_axis),
+            'level': None if item.level is None else _encoded(item.level, Axis('')),
+        }
+        for item in panel.series
+    ]
+    document = {
+        'title': panel.title,
+        'share': panel.share,
+        'plane': panel.plane,
+        'true_scale': panel.true_scale,
+        'y': _axis_document(panel.y_axis),
+        'series': series,
+    }
+    if panel.shades is not None:
+        document['shades'] = {
+            'axis': _axis_document(panel.shades.axis),
+            'stops': [[level, shown_colour(colour)] for level, colour in panel.shades.stops],
+            'mark': panel.shades.mark,
+        }
+    return document
 
 
 def _panel_document(panel: Panel, x_axis: Axis) -> dict[str, Any]:
@@ -578,33 +558,3 @@ def _decimals(values: Floats, axis: Axis, steps: Floats | None) -> int:
     # No more digits than the numbers themselves have.
     finest = max(finest, 1e-12 * float(known.max()))
     return -floor(log10(finest)) if isfinite(finest) and finest > 0.0 else 0
-
-
-def _shown_axis(axis: Any, ends: tuple[float, float]) -> dict[str, Any]:
-    """Return what a reader is told of an axis of matplotlib: ends, name and unit."""
-    name, _, rest = axis.get_label_text().partition(' [')
-    low, high = map(float, ends)
-    fixed = type(axis.get_major_locator()).__name__ == 'FixedLocator'
-    scale = axis.get_scale()
-    return {
-        'name': name,
-        'unit': rest.partition(']')[0],
-        'low': low,
-        'high': high,
-        'scale': scale,
-        'fixed': fixed and scale == 'linear',
-    }
-
-
-def _table(columns: Mapping[str, Sequence[Any] | NDArray[Any]]) -> list[list[Any]]:
-    """Return headings and rows."""
-    cells = [[_cell(value) for value in column] for column in columns.values()]
-    return [list(columns), *map(list, zip(*cells, strict=True))]
-
-
-def _cell(value: Any) -> Any:
-    """Return a cell of a table: numbers in seven digits, nothing for those that are none."""
-    if isinstance(value, str):
-        return value
-    number = float(value)
-    return float(f'{number:.7g}') if isfinite(number) else ''

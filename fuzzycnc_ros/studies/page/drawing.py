@@ -1,15 +1,9 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Common part of all plots: matplotlib figures without pyplot and its global state.
+"""Common part of all plots: colours, each with one meaning on all pages; the style on paper."""
 
-Every figure is made inside `plot_style`, which sets type sizes and colours.  A colour has one
-meaning on all pages, and is also the mark by which a figure follows the page's theme.
-"""
-
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from math import ceil
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,14 +91,10 @@ _STYLE = {
     'svg.hashsalt': 'fuzzycnc',
 }
 
-_WIDTH, _LEGEND_HEIGHT = 10.0, 0.3  # [in]
-_LEGEND_KEY, _CHARACTER = 0.5, 0.064
-"""Widths of a line with its gaps and, about, of a character of a legend [in]."""
-
 
 @contextmanager
 def plot_style() -> Iterator[None]:
-    """Hold the report's matplotlib settings while figures are made and saved."""
+    """Hold matplotlib's settings of the PDF and the docs while figures are made and saved."""
     with require('matplotlib').rc_context(_STYLE):
         yield
 
@@ -115,39 +105,3 @@ def time_axis(time: NDArray[np.float64]) -> tuple[NDArray[np.float64], str]:
     if elapsed[-1] > 7200.0:
         return elapsed / 3600.0, 'h'
     return elapsed / 60.0, 'min'
-
-
-def new_figure(height: float) -> Any:
-    """Return an empty figure of the page's width, some inches high."""
-    figure = require('matplotlib.figure').Figure(figsize=(_WIDTH, height), layout='constrained')
-    figure.patch.set_alpha(0.0)
-    return figure
-
-
-def panel_grid(count: int, *, columns: int, height: float) -> tuple[Any, list[Any]]:
-    """Return a figure with a grid of panels [in] high."""
-    rows = ceil(count / columns)
-    figure = new_figure(0.3 + height * rows)
-    panels = list(figure.subplots(rows, columns, squeeze=False).flat)
-    for axes in panels[count:]:
-        axes.remove()
-    return figure, panels[:count]
-
-
-def add_legend(figure: Any, handles: Sequence[Any], labels: Sequence[str]) -> None:
-    """Put one legend above all panels, in as few rows as the page's width allows."""
-    widest = _LEGEND_KEY + _CHARACTER * max(map(len, labels), default=0)
-    columns = max(1, min(len(handles), 6, int(_WIDTH / widest)))
-    rows = ceil(len(handles) / columns)
-    # loc='outside upper left' would do both, but needs matplotlib 3.7.
-    room = rows * _LEGEND_HEIGHT / figure.get_figheight()
-    figure.get_layout_engine().set(rect=(0.0, 0.0, 1.0, 1.0 - room))
-    figure.legend(
-        handles,
-        labels,
-        loc='upper left',
-        ncol=columns,
-        columnspacing=1.6,
-        handlelength=1.6,
-        borderaxespad=0.2,
-    )

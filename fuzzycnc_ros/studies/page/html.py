@@ -2,25 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pages of sections with tables, remarks and figures, as self-contained HTML.
 
-A declared figure is drawn by the page's own script, a picture is a copy of its SVG; both are
-zoomed into.  On paper and without scripts the SVG stands in their place.  All follow the light or
-dark theme.
+The page's own script draws the figures; they follow the light or dark theme and are zoomed into.
 """
 
 import json
 import re
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
-from io import StringIO
+from itertools import count
 from typing import Any, NamedTuple
 
 from fuzzycnc_ros import __version__
 from fuzzycnc_ros.core.names import visible
-from fuzzycnc_ros.studies.page.chart import Chart, Picture
-from fuzzycnc_ros.studies.page.drawing import PALETTE, THEME, plot_style
-from fuzzycnc_ros.studies.page.paper import drawn
+from fuzzycnc_ros.studies.page.chart import Chart
+from fuzzycnc_ros.studies.page.drawing import PALETTE
 from fuzzycnc_ros.studies.page.table import Table
 from fuzzycnc_ros.studies.requirement import require
 from fuzzycnc_ros.web import vendored
@@ -28,13 +24,8 @@ from fuzzycnc_ros.web import vendored
 HEADER = ('Recorded', 'Machine', 'Axis', 'Bag', 'Program', 'Judged')
 """Facts that stand at the top of a page, in this order."""
 
-_SCRIPTS = ('reading.js', 'gestures.js', 'pictures.js', 'charts.js')
-"""Scripts that draw figures and follow the reader's hand; each uses those before it."""
-
-_TAG = re.compile(r'<[^>]*>')
-_DECIMALS = re.compile(r'(\d\.\d\d)\d+')
-_IDENTITY = re.compile(r'(\bid="|url\(#|xlink:href="#)')
-_SIZE = re.compile(r' width="[^"]*" height="[^"]*"| height="[^"]*" width="[^"]*"')
+_SCRIPTS = ('gestures.js', 'charts.js')
+"""Scripts for gestures and for drawing figures."""
 
 
 class Remark(NamedTuple):
@@ -50,7 +41,7 @@ class Figure:
 
     title: str
     caption: str
-    plot: Chart | Picture
+    plot: Chart
 
 
 @dataclass(frozen=True)
@@ -60,7 +51,6 @@ class _NumberedFigure:
     number: int
     title: str
     caption: str
-    svg: str
     data: str
 
     @property
@@ -134,7 +124,7 @@ def render_page(page: Page) -> str:
     Raises
     ------
     ModuleNotFoundError
-        If matplotlib or jinja2 is not installed; the message says how to install it.
+        If jinja2 is not installed; the message says how to install it.
     """
     jinja2 = require('jinja2')
     environment = jinja2.Environment(
@@ -171,23 +161,15 @@ def _source(name: str) -> str:
 
 
 def _with_numbers(sections: Sequence[Section]) -> list[Section]:
-    """Return sections with their figures drawn and numbered through."""
-    numbered, number = [], 0
+    """Return sections with their figures numbered through."""
+    numbered, numbers = [], count(1)
     for section in sections:
-        figures: list[Any] = []
-        for figure in section.figures:
-            number += 1
-            plot = figure.plot
-            on_paper = drawn(plot) if isinstance(plot, Chart) else plot.figure
-            # Drawn first: only then it is known where the parts of a picture lie.
-            svg = to_inline_svg(on_paper, f'f{number}')
-            if isinstance(plot, Picture) and plot.true_scale:
-                width, height = 25.4 * on_paper.get_size_inches()
-                svg = svg.replace(
-                    '<svg', f'<svg style="width:{width:.2f}mm;height:{height:.2f}mm"', 1
-                )
-            data = _script_text(plot.document())
-            figures.append(_NumberedFigure(number, figure.title, figure.caption, svg, data))
+        figures: list[Any] = [
+            _NumberedFigure(
+                next(numbers), figure.title, figure.caption, _script_text(figure.plot.document())
+            )
+            for figure in section.figures
+        ]
         numbered.append(replace(section, figures=figures))
     return numbered
 
@@ -196,40 +178,3 @@ def _script_text(document: Any) -> str:
     """Return a document as JSON that may stand in a script element."""
     text = json.dumps(document, ensure_ascii=False, separators=(',', ':'), allow_nan=False)
     return text.replace('<', '\\u003c')
-
-
-def to_inline_svg(figure: Any, name: str) -> str:
-    """Return a figure as an SVG element for an HTML page.
-
-    Parameters
-    ----------
-    figure : matplotlib.figure.Figure
-        Figure of this package's plots.
-    name : str
-        Name that is unique on the page; prefixes every id, since matplotlib gives the same
-        ids to every figure.
-
-    Returns
-    -------
-    str
-        SVG element without size, so that the page sets its width; colours that have a meaning
-        are the page's CSS variables, places have two decimals.
-    """
-    stream = StringIO()
-    for item in figure.findobj(require('matplotlib.text').Text):
-        shown = visible(item.get_text(), keep='\n')
-        if shown != item.get_text():
-            item.set_text(shown)
-    with plot_style(), warnings.catch_warnings():
-        # The page's fonts show the text; matplotlib only measures it by its own.
-        warnings.filterwarnings('ignore', 'Glyph .* missing from font')
-        figure.savefig(stream, format='svg', metadata={'Date': None, 'Creator': None})
-    text = stream.getvalue()
-    svg = text[text.index('<svg') :]
-    head, body = svg.split('>', 1)
-    svg = _SIZE.sub('', head) + '>' + re.sub(r'<metadata>.*?</metadata>', '', body, flags=re.S)
-    for colour, variable in THEME.items():
-        svg = svg.replace(colour, f'var({variable})')
-    # Text keeps its decimals: it is read.
-    svg = _TAG.sub(lambda tag: _DECIMALS.sub(r'\1', tag[0]), svg)
-    return _IDENTITY.sub(rf'\g<1>{name}-', svg).strip()

@@ -3,12 +3,13 @@
 """A table once, shown in the terminal, as plain text, as Markdown and in HTML."""
 
 from collections.abc import Collection, Hashable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import groupby, zip_longest
 from textwrap import wrap
 from typing import Any, TypeVar
 
 from fuzzycnc_ros.core.names import visible
+from fuzzycnc_ros.studies.page.drawing import THEME
 from fuzzycnc_ros.studies.requirement import require
 
 Key = TypeVar('Key', bound=Hashable)
@@ -54,7 +55,9 @@ class Table:
         Rows that stand out, such as the model in use.
     warning : frozenset of (int, int)
         Row and column of the cells that warn; numbers among them are marked in plain text too.
-    strong_means, highlight_means, warning_means : str
+    bars : mapping of (int, int) to (float, str)
+        Row and column of the cells that pages show as bars too: share of the longest, and colour.
+    strong_means, highlight_means, warning_means, bars_mean : str
         What these marks stand for, as a page says below the table.
 
     Raises
@@ -78,9 +81,11 @@ class Table:
     strong: frozenset[tuple[int, int]] = frozenset()
     highlight: frozenset[int] = frozenset()
     warning: frozenset[tuple[int, int]] = frozenset()
+    bars: Mapping[tuple[int, int], tuple[float, str]] = field(default_factory=dict)
     strong_means: str = 'best of its column, all that are equal as shown'
     highlight_means: str = 'in use, or the automatic choice'
     warning_means: str = 'worse than no compensation'
+    bars_mean: str = ''
 
     def __post_init__(self) -> None:
         for number, row in enumerate(self.rows):
@@ -102,6 +107,14 @@ class Table:
         text = self.rows[row][column]
         warns = (row, column) in self.warning and self.columns[column].numeric
         return f'{WARNING_MARK}{text}' if warns else text
+
+    def bar_style(self, row: int, column: int) -> str:
+        """Return the attribute of a cell of HTML that draws its bar, nothing where it has none."""
+        if (row, column) not in self.bars:
+            return ''
+        share, colour = self.bars[row, column]
+        hue = f'var({THEME[colour]})' if colour in THEME else colour
+        return f' style="--bar:{100.0 * share:.1f}%;--hue:{hue}"'
 
     def groups(self) -> list[tuple[str, int]]:
         """Return the groups of columns, each with its number of columns."""
@@ -147,11 +160,12 @@ class Table:
         """
         headings = [tuple(column.full_heading for column in self.columns)]
         widths = self._natural_widths(headings)
-        if width is not None and sum(widths) + 2 * (len(widths) - 1) > width:
-            headings = self._stacked()
-            widths = self._narrowed(self._natural_widths(headings), width)
-        rule = tuple('-' * size for size in widths)
         lines = []
+        if width is not None and sum(widths) + 2 * (len(widths) - 1) > width:
+            headings = [tuple(column.heading for column in self.columns)]
+            widths = self._narrowed(self._under_groups(self._natural_widths(headings)), width)
+            lines += [self._group_line(widths)] if any(c.group for c in self.columns) else []
+        rule = tuple('-' * size for size in widths)
         for row in (*headings, rule, *self._cells()):
             cells = [
                 [cell] if column.numeric else wrap(cell, max(size, 1)) or ['']
@@ -176,11 +190,20 @@ class Table:
             tuple(self.marked(r, c) for c in range(len(row))) for r, row in enumerate(self.rows)
         ]
 
-    def _stacked(self) -> list[tuple[str, ...]]:
-        """Return groups above headings."""
-        groups = tuple(column.group for column in self.columns)
-        headings = tuple(column.heading for column in self.columns)
-        return [groups, headings] if any(groups) else [headings]
+    def _under_groups(self, widths: list[int]) -> list[int]:
+        """Return widths with room for the names of the groups above them."""
+        found, end = list(widths), 0
+        for group, count in self.groups():
+            end += count
+            found[end - 1] += max(0, len(group) - sum(found[end - count : end]) - 2 * (count - 1))
+        return found
+
+    def _group_line(self, widths: list[int]) -> str:
+        parts, end = [], 0
+        for group, count in self.groups():
+            end += count
+            parts.append(group.center(sum(widths[end - count : end]) + 2 * (count - 1)))
+        return '  '.join(parts).rstrip()
 
     def _natural_widths(self, headings: list[tuple[str, ...]]) -> list[int]:
         rows = zip(*headings, *self._cells(), strict=True)
@@ -188,14 +211,14 @@ class Table:
 
     def _least_widths(self) -> list[int]:
         """Return the least width of each column: numbers whole, of text its longest word."""
-        stacked = self._stacked()
+        headings = tuple(column.heading for column in self.columns)
         found = []
-        for c, natural in enumerate(self._natural_widths(stacked)):
-            cells = [row[c] for row in (*stacked, *self._cells())]
+        for c, natural in enumerate(self._natural_widths([headings])):
+            cells = [row[c] for row in (headings, *self._cells())]
             longest = max((len(word) for cell in cells for word in cell.split()), default=0)
             words = natural if self.columns[c].numeric else max(TEXT_MIN, longest)
             found.append(min(natural, words))
-        return found
+        return self._under_groups(found)
 
     def _narrowed(self, widths: list[int], width: int) -> list[int]:
         """Return widths that fit a line, if the widest columns of text can give enough away."""

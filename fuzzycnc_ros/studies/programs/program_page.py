@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.feedrate.gcode.blocks import Note
 from fuzzycnc_ros.studies.contour import contouring_page
-from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Rule, Series, View
-from fuzzycnc_ros.studies.page.drawing import AFTER, BEFORE, LIMIT, new_figure, plot_style
+from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Rule, Series, Shades
+from fuzzycnc_ros.studies.page.drawing import AFTER, BEFORE, LIMIT
 from fuzzycnc_ros.studies.page.html import Figure, Page, Remark, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.pareto.pareto_page import LABELS, millimetres
@@ -28,7 +28,6 @@ from fuzzycnc_ros.studies.programs.program_drive import (
     MethodDrive,
 )
 from fuzzycnc_ros.studies.programs.schedule_trace import PathTrace
-from fuzzycnc_ros.studies.requirement import require
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.gcode.blocks import Note
@@ -340,7 +339,7 @@ def schedule_page(
                     if trace.stride > 1
                     else 'Rapids and blocks that keep their feed are left out.'
                 ),
-                path_picture(trace),
+                path_chart(trace),
             )
         )
     sections = [
@@ -384,7 +383,7 @@ def _methods_section(
                 'Where the error is',
                 f'The path of the tool on {stretch}, scheduled by {label}, coloured by its '
                 'contour error: blue within the tolerance, red beyond it.',
-                error_picture(chosen, figures.tolerance),
+                error_chart(chosen, figures.tolerance),
             )
         )
         plots.append(
@@ -433,11 +432,14 @@ FLAT = 0.02
 SHALLOW = 0.25
 """Share of the other axes below which the height of a view from the side is enlarged."""
 
+FEED_COLOURS = ('#6f5bd0', '#2399b4', '#4fa83d', '#c9a21a')
+"""Colours from no feed to the largest one, legible on light and dark pages."""
+
 _AXES = 'XYZ'
 
 
-def path_picture(trace: PathTrace) -> Picture:
-    """Draw a path coloured by feed: in its plane, or from above and below that from the side.
+def path_chart(trace: PathTrace) -> Chart:
+    """Declare a path coloured by feed: in its plane, or from above and below that from the side.
 
     A part that is shallow beside its length is drawn higher than it is in the view from the
     side, by a factor that stands at the axis.
@@ -445,63 +447,48 @@ def path_picture(trace: PathTrace) -> Picture:
     ends, feed = trace.edges
     extent = np.ptp(ends.reshape(-1, 3), axis=0)
     flat = extent < FLAT * extent.max()
+    views = [(0, 1), (0, 2)]
     if flat.any():
-        level = int(np.argmin(extent))
-        views = [tuple(axis for axis in range(3) if axis != level)]
-    else:
-        views = [(0, 1), (0, 2)]
-    with plot_style():
-        figure = new_figure(6.0 if len(views) == 1 else 7.6)
-        shares = (1.0,) if len(views) == 1 else (2.2, 1.0)
-        panels = list(
-            figure.subplots(
-                len(views), 1, squeeze=False, gridspec_kw={'height_ratios': shares}
-            ).flat
-        )
-        colours = require('matplotlib.colors').Normalize(
-            0.0, max(1e3 * MINUTE * float(feed.max()), 1e-9)
-        )
-        for axes, view in zip(panels, views, strict=True):
-            lines = require('matplotlib.collections').LineCollection(
-                1e3 * ends[:, :, view], norm=colours, cmap='viridis', linewidths=1.3
-            )
-            lines.set_array(1e3 * MINUTE * feed)
-            axes.add_collection(lines)
-            across, up = extent[view[0]], extent[view[1]]
-            enlarged = 1.0
-            if view == (0, 2) and up < SHALLOW * across:
-                enlarged = float(f'{SHALLOW * across / up:.1g}')
-            axes.set_aspect(enlarged, adjustable='datalim')
-            axes.autoscale_view()
-            axes.set_xlabel(f'{_AXES[view[0]]} [mm]')
-            note = f', drawn {enlarged:g} times as high' if enlarged > 1.0 else ''
-            axes.set_ylabel(f'{_AXES[view[1]]} [mm]{note}')
-        figure.colorbar(lines, ax=panels, label='feed [mm/min]', shrink=0.8, pad=0.02)
-        names = [(side, axis) for side in ('from', 'to') for axis in _AXES]
-        columns = {
-            f'{side} {axis} [mm]': values
-            for (side, axis), values in zip(names, 1e3 * ends.reshape(-1, 6).T, strict=True)
-        }
-        place = 1e3 * np.concatenate([ends[:, 0], ends[:, 1]])
-        rows = np.tile(np.arange(len(ends)), 2)
-        return Picture(
-            figure,
-            {**columns, 'feed [mm/min]': 1e3 * MINUTE * feed},
-            [
-                View(axes, place[:, across], place[:, up], rows=rows)
-                for axes, (across, up) in zip(panels, views, strict=True)
-            ],
+        across, up = (axis for axis in range(3) if axis != np.argmin(extent))
+        views = [(across, up)]
+    # Edges that do not meet are parted by a gap.
+    apart = np.append(True, (ends[1:, 0] != ends[:-1, 1]).any(axis=1))
+    rows = np.repeat(np.arange(len(ends)), 1 + 2 * apart)
+    place = 1e3 * ends[rows, 1]
+    level = 1e3 * MINUTE * feed[rows]
+    begins = np.flatnonzero(np.diff(rows, prepend=-1) * apart[rows])
+    place[begins], place[begins + 1] = np.nan, 1e3 * ends[apart, 0]
+    level[begins + 1] = np.nan
+    top = max(1e3 * MINUTE * float(feed.max()), 1e-9)
+    shades = Shades(
+        Axis('feed', 'mm/min'),
+        [(top * number / (len(FEED_COLOURS) - 1), c) for number, c in enumerate(FEED_COLOURS)],
+    )
+
+    def panel(across: int, up: int) -> Panel:
+        enlarged = 1.0
+        if (across, up) == (0, 2) and extent[up] < SHALLOW * extent[across]:
+            enlarged = float(f'{SHALLOW * extent[across] / extent[up]:.1g}')
+        note = f' (drawn {enlarged:g} times as high)' if enlarged > 1.0 else ''
+        return Panel(
+            np.empty(0),
+            Axis(f'{_AXES[up]}{note}', 'mm'),
+            [Series('path', place[:, up], AFTER, 1.3, x=place[:, across], level=level)],
+            share=0.45 if (across, up) == (0, 2) and len(views) > 1 else 1.0,
+            plane=enlarged,
+            shades=shades,
         )
 
+    panels = [panel(*view) for view in views]
+    return Chart(Axis(_AXES[views[0][0]], 'mm'), panels, height=5.6)
 
-def error_picture(drive: Drive, tolerance: float) -> Picture:
-    """Draw where a tool was in the two axes that it moved most, coloured by contour error."""
+
+def error_chart(drive: Drive, tolerance: float) -> Chart:
+    """Declare where a tool was in the two axes that it moved most, coloured by contour error."""
     extent = np.nanmax(drive.place, axis=0) - np.nanmin(drive.place, axis=0)
     view = sorted(np.argsort(-extent, kind='stable')[:2])
     names = [_AXES[axis] for axis in view]
-    return contouring_page.path_picture(
-        drive.place[:, view], drive.contour_error, names, tolerance
-    )
+    return contouring_page.path_chart(drive.place[:, view], drive.contour_error, names, tolerance)
 
 
 def motion_chart(

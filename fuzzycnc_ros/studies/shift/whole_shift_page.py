@@ -5,26 +5,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fuzzycnc_ros.studies.contour.contouring_page import error_path_picture, speed_chart
-from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Rule, Series, View
+from fuzzycnc_ros.studies.contour.contouring_page import error_path_chart, speed_chart
+from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Rule, Series
 from fuzzycnc_ros.studies.page.drawing import (
     AFTER,
     BEFORE,
     INK,
     LIMIT,
     MEASURED,
-    add_legend,
-    new_figure,
-    plot_style,
 )
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.soft import pattern_page
-from fuzzycnc_ros.studies.soft.foam_page import tracks_picture
+from fuzzycnc_ros.studies.soft.foam_page import tracks_chart
 from fuzzycnc_ros.studies.soft.pattern_page import pattern_table
 
 if TYPE_CHECKING:
@@ -70,8 +67,23 @@ def job_table(before: WholeShift, after: WholeShift) -> Table:
         )
         for old, new in zip(before.jobs, after.jobs, strict=True)
     )
+    shares = [
+        (old.error, new.error, old.left, old.own, new.left, new.contour, new.positioning)
+        for old, new in zip(before.jobs, after.jobs, strict=True)
+    ]
+    top = max((max(row[:2]) for row in shares), default=0.0) or 1.0
+    colours = (BEFORE, AFTER, BEFORE, BEFORE, AFTER, AFTER, AFTER)
     return Table(
-        'Part error of each job [µm] and where it comes from, before and after', columns, rows
+        'Part error of each job [µm] and where it comes from, before and after',
+        columns,
+        rows,
+        bars={
+            (r, 2 + c): (value / top, colours[c])
+            for r, row in enumerate(shares)
+            for c, value in enumerate(row)
+            if np.isfinite(value)
+        },
+        bars_mean='each error, beside the largest of a part; orange before, blue after',
     )
 
 
@@ -104,13 +116,6 @@ def shift_page(
         tables=(job_table(before, after),),
         figures=(
             Figure(
-                'Where the error of each part comes from',
-                'Pairs of bars: the left one before, the right one after; strong what comes from '
-                'heat, pale what comes from the axes. What is left after compensation comes from '
-                'the axes, where friction holds them back.',
-                sources_picture(before, after),
-            ),
-            Figure(
                 'Thermal error over the shift',
                 'Orange is what the machine measures without compensation, blue what the offsets '
                 'in force leave of it; both of the worst channel. The dotted lines are the jobs.',
@@ -135,7 +140,7 @@ def shift_page(
             Figure(
                 'The track',
                 'Where the stitches are to lie, and where they lie once the sheet has relaxed.',
-                tracks_picture(
+                tracks_chart(
                     {
                         patterns[pattern_page.AFTER].name: (
                             patterns[pattern_page.AFTER].nominal,
@@ -159,45 +164,6 @@ def shift_page(
             **facts,
         },
     )
-
-
-def sources_picture(before: WholeShift, after: WholeShift) -> Picture:
-    """Draw the error of each job as stacked bars by source, before and after."""
-    columns: dict[str, Any] = {
-        'job': [job.name for job in after.jobs],
-        'at [h]': [job.start / 3600.0 for job in after.jobs],
-    }
-    with plot_style():
-        figure = new_figure(3.6)
-        axes = figure.subplots()
-        place = np.arange(len(after.jobs), dtype=np.float64)
-        handles, labels = [], []
-        for shift, name, offset, colour in (
-            (before, 'before', -0.2, BEFORE),
-            (after, 'after', 0.2, AFTER),
-        ):
-            thermal = np.array([1e6 * job.left for job in shift.jobs])
-            own = np.array([1e6 * job.own for job in shift.jobs])
-            look = {'width': 0.36, 'color': colour}
-            handles += [
-                axes.bar(place + offset, thermal, **look)[0],
-                axes.bar(place + offset, own, bottom=thermal, alpha=0.45, **look)[0],
-            ]
-            labels += [f'thermal, {name}', f'axes, {name}']
-            columns |= {f'thermal, {name} [µm]': thermal, f'axes, {name} [µm]': own}
-        names = [f'{_short(job.name)}\n{job.start / 3600.0:.1f} h' for job in after.jobs]
-        axes.set_xticks(place, names)
-        axes.set_ylabel('part error [µm]')
-        axes.grid(visible=False, axis='x')
-        add_legend(figure, handles, labels)
-        tops = [np.array([1e6 * (job.left + job.own) for job in s.jobs]) for s in (before, after)]
-        view = View(
-            axes,
-            np.concatenate([place - 0.2, place + 0.2]),
-            np.concatenate(tops),
-            rows=np.tile(np.arange(len(place)), 2),
-        )
-        return Picture(figure, columns, [view])
 
 
 def shift_chart(shift: WholeShift) -> Chart:
@@ -230,7 +196,7 @@ def _path_figures(path: FollowedPath) -> Iterator[Figure]:
     yield Figure(
         f'{path.name}: where the error is',
         'The path of the tool, rapids included, coloured by its contour error.',
-        error_path_picture(path),
+        error_path_chart(path),
     )
     yield Figure(
         f'{path.name}: feed and speed',
@@ -238,10 +204,6 @@ def _path_figures(path: FollowedPath) -> Iterator[Figure]:
         'axes (thick), and the speed of the slides.',
         speed_chart(path),
     )
-
-
-def _short(name: str) -> str:
-    return 'move' if ':' in name else name.partition('_')[0]
 
 
 def _um(value: float) -> str:

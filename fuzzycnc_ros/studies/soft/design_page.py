@@ -5,23 +5,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from fuzzycnc_ros.core.deformation.stitch_design import NeighbourGap, PlacedRun, neighbour_gaps
-from fuzzycnc_ros.studies.page.chart import Picture, View
-from fuzzycnc_ros.studies.page.drawing import AFTER, BEFORE, MUTED, plot_style
+from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Series
+from fuzzycnc_ros.studies.page.drawing import AFTER, BEFORE, MUTED
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
-from fuzzycnc_ros.studies.requirement import require
 
 ROWS = 10
 """Gaps that are listed."""
-SHOWN = 20_000
-"""Most stitches of which the page has the figures."""
-_MARGIN = 8e-3
-_INCH = 25.4e-3
 
 
 def design_page(runs: Sequence[PlacedRun], lines: Sequence[str], facts: Mapping[str, str]) -> Page:
@@ -51,7 +45,7 @@ def design_page(runs: Sequence[PlacedRun], lines: Sequence[str], facts: Mapping[
                 'True scale',
                 'Printed at 100 % it has the size of the design: planned, as it would be '
                 'stitched, and as it is commanded.',
-                design_picture(runs),
+                design_chart(runs),
             ),
         ),
     )
@@ -84,35 +78,16 @@ def gap_table(gaps: Sequence[NeighbourGap]) -> Table:
     return Table('Largest gaps between neighbouring runs', columns, rows)
 
 
-def design_picture(runs: Sequence[PlacedRun]) -> Picture:
-    """Draw the runs of a design at true scale."""
-    layers = (
+def design_chart(runs: Sequence[PlacedRun]) -> Chart:
+    """Declare the runs of a design at true scale."""
+    series = []
+    for name, shapes, colour, width in (
         ('planned', [run.planned for run in runs], MUTED, 1.6),
         ('as it would be stitched', [run.planned - run.offset for run in runs], BEFORE, 0.7),
         ('commanded', [run.commanded for run in runs], AFTER, 0.7),
-    )
-    everything = np.concatenate([points for _, shapes, *_ in layers for points in shapes])
-    low, high = everything.min(axis=0) - _MARGIN, everything.max(axis=0) + _MARGIN
-    low[1] -= _MARGIN  # for the legend
-    width, height = np.maximum(high - low, 0.07)
-    planned = np.concatenate([run.planned for run in runs])
-    kept = np.unique(np.linspace(0, len(planned) - 1, min(len(planned), SHOWN)).astype(int))
-    columns: dict[str, Any] = {
-        'run': np.repeat(np.arange(1, len(runs) + 1), [len(run.planned) for run in runs])[kept]
-    }
-    with plot_style():
-        figure = require('matplotlib.figure').Figure(figsize=(width / _INCH, height / _INCH))
-        figure.patch.set_alpha(0.0)
-        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        axes.set_axis_off()
-        for name, shapes, colour, line in layers:
-            broken = [np.concatenate([points, [[np.nan, np.nan]]]) for points in shapes]
-            x, y = 1e3 * np.concatenate(broken).T
-            axes.plot(x, y, color=colour, linewidth=line, label=name)
-            flat = 1e3 * np.concatenate(shapes)[kept]
-            columns |= {f'{name} X [mm]': flat[:, 0], f'{name} Y [mm]': flat[:, 1]}
-        axes.set_xlim(1e3 * low[0], 1e3 * (low[0] + width))
-        axes.set_ylim(1e3 * low[1], 1e3 * (low[1] + height))
-        axes.legend(loc='lower left', ncols=3, fontsize=7.0, borderpad=0.2)
-        view = View(axes, 1e3 * planned[kept, 0], 1e3 * planned[kept, 1])
-        return Picture(figure, columns, (view,), true_scale=True)
+    ):
+        broken = [np.concatenate([points, [[np.nan, np.nan]]]) for points in shapes]
+        x, y = 1e3 * np.concatenate(broken).T
+        series.append(Series(name, y, colour, width, x=x))
+    panel = Panel(np.empty(0), Axis('Y', 'mm'), series, plane=1.0, true_scale=True)
+    return Chart(Axis('X', 'mm'), [panel])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Picture, Series, View
+from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Series
 from fuzzycnc_ros.studies.page.drawing import (
     AFTER,
     ANOTHER,
@@ -18,9 +18,6 @@ from fuzzycnc_ros.studies.page.drawing import (
     FAINT,
     MUTED,
     OTHER,
-    add_legend,
-    panel_grid,
-    plot_style,
 )
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
@@ -171,7 +168,7 @@ def comparison_page(found: FoamComparison, facts: Mapping[str, str]) -> Page:
                     'The first run of each track without compensation, and with the default one. '
                     'The relaxed sheet shows what was dragged along: sides lean, and the figure '
                     'does not close.',
-                    tracks_picture(
+                    tracks_chart(
                         {
                             name: (
                                 track.nominal,
@@ -343,8 +340,8 @@ def _range(low: float, high: float) -> str:
     return f'{low:.3g}' if low == high else f'{low:.3g} to {high:.3g}'
 
 
-def tracks_picture(tracks: Mapping[str, tuple[Array, Array, Array]]) -> Picture:
-    """Draw tracks as they are meant, and stitched before and after compensation.
+def tracks_chart(tracks: Mapping[str, tuple[Array, Array, Array]]) -> Chart:
+    """Declare tracks as they are meant, and stitched before and after compensation.
 
     Parameters
     ----------
@@ -352,34 +349,26 @@ def tracks_picture(tracks: Mapping[str, tuple[Array, Array, Array]]) -> Picture:
         Nominal points, stitches without and with compensation, each of shape (n + 1, 2) [m], by
         the title of the panel.
     """
-    names = ('nominal', 'before', 'after')
-    columns: dict[str, list[Any]] = {'track': []}
-    columns |= {f'{name} {axis} [mm]': [] for name in names for axis in 'XY'}
-    with plot_style():
-        figure, panels = panel_grid(len(tracks), columns=min(2, len(tracks)), height=2.9)
-        handles: list[Any] = []
-        views = []
-        for axes, (title, points) in zip(panels, tracks.items(), strict=True):
-            nominal, before, after = points
-            handles = [
-                axes.plot(*(1e3 * nominal.T), color=MUTED, linewidth=0.9)[0],
-                axes.plot(*(1e3 * before.T), 'o', color=BEFORE, markersize=1.8)[0],
-                axes.plot(*(1e3 * after.T), 'o', color=AFTER, markersize=1.8)[0],
-            ]
-            axes.set_aspect('equal', adjustable='datalim')
-            axes.set_title(title)
-            axes.set_xlabel('X [mm]')
-            rows = len(columns['track']) + np.arange(len(nominal))
-            shown = 1e3 * np.concatenate(points)
-            views.append(View(axes, shown[:, 0], shown[:, 1], rows=np.tile(rows, len(points))))
-            columns['track'] += [title] * len(nominal)
-            for name, place in zip(names, points, strict=True):
-                for number, axis in enumerate('XY'):
-                    columns[f'{name} {axis} [mm]'] += list(1e3 * place[:, number])
-        for axes in panels[::2]:
-            axes.set_ylabel('Y [mm]')
-        add_legend(figure, handles, ['nominal', 'stitched before', 'stitched after'])
-        return Picture(figure, columns, views)
+    panels = [
+        Panel(
+            np.empty(0),
+            Axis('Y', 'mm'),
+            [
+                Series('nominal', 1e3 * nominal[:, 1], MUTED, 0.9, x=1e3 * nominal[:, 0]),
+                *(
+                    Series(name, 1e3 * place[:, 1], colour, kind='dots', x=1e3 * place[:, 0])
+                    for name, place, colour in (
+                        ('stitched before', before, BEFORE),
+                        ('stitched after', after, AFTER),
+                    )
+                ),
+            ],
+            title,
+            plane=1.0,
+        )
+        for title, (nominal, before, after) in tracks.items()
+    ]
+    return Chart(Axis('X', 'mm'), panels, columns=min(2, len(panels)), height=3.4)
 
 
 def deviation_chart(

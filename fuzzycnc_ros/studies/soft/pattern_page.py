@@ -13,7 +13,7 @@ from fuzzycnc_ros.studies.page import drawing
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.soft.foam_comparison import NONE, PUBLISHED, PUBLISHED_MEANS
-from fuzzycnc_ros.studies.soft.foam_page import deviation_chart, tracks_picture
+from fuzzycnc_ros.studies.soft.foam_page import deviation_chart, tracks_chart
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.studies.soft.pattern import StitchedPattern
@@ -107,7 +107,7 @@ def pattern_page(runs: Mapping[str, StitchedPattern], facts: Mapping[str, str]) 
             Figure(
                 'The track',
                 'Where the stitches are to lie, and where they lie once the sheet has relaxed.',
-                tracks_picture({name: (after.nominal, before.stitched, after.stitched)}),
+                tracks_chart({name: (after.nominal, before.stitched, after.stitched)}),
             ),
             Figure(
                 'Deviation along the track',

@@ -3,12 +3,13 @@
 """Models side by side on what they never saw: tables, marks and figures for a document."""
 
 from collections.abc import Collection, Mapping, Sequence
-from math import inf, isfinite
+from math import inf, isfinite, isnan
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.thermal.candidate import COMPARED_ONLY, DEFAULT, UNCOMPENSATED
+from fuzzycnc_ros.studies.page.drawing import AFTER, BEFORE, LIMIT, WARNING
 from fuzzycnc_ros.studies.page.html import Remark
 from fuzzycnc_ros.studies.page.table import Column, Table, tied
 from fuzzycnc_ros.studies.thermal.judged import (
@@ -40,6 +41,12 @@ COMPARED_LINE = (
     f'{COMPARED_MARK.strip()} only compared: no model file holds it, no machine runs it'
 )
 """Meaning of that mark."""
+
+BARS_MEAN = (
+    'the rmse, beside the largest of its column; orange without compensation, blue less than '
+    'that, red more, yellow not to be trusted'
+)
+"""Meaning of the bars in a table of residuals."""
 
 LEFT = 'residual thermal error'
 """Caption of a table."""
@@ -117,7 +124,46 @@ def residual_table(
         strong=frozenset(strong),
         warning=frozenset(warning),
         highlight=frozenset(row for row, name in enumerate(rows) if name == DEFAULT),
+        bars=rmse_bars({name: rms[name] for name in rows}, refused, range(1, 2 * len(channel), 2)),
+        bars_mean=BARS_MEAN,
     )
+
+
+def rmse_bars(
+    rms: Mapping[str, Sequence[float] | NDArray[Any]],
+    refused: Collection[str],
+    columns: Sequence[int],
+) -> dict[tuple[int, int], tuple[float, str]]:
+    """Return the bars of a table of residuals.
+
+    Parameters
+    ----------
+    rms : mapping of str to sequence of float, length c
+        Residuals [m] of each row of the table, in their order.
+    refused : collection of str
+        Rows that are not to be trusted.
+    columns : sequence of int, length c
+        Columns of the table that hold them.
+    """
+    bars = {}
+    for number, column in enumerate(columns):
+        values = {name: float(found[number]) for name, found in rms.items()}
+        bare = values.get(UNCOMPENSATED, inf)
+        top = max((value for value in values.values() if not _lost(value)), default=1.0)
+        for row, (name, value) in enumerate(values.items()):
+            if isnan(value):
+                continue
+            colour = LIMIT if value > bare else AFTER
+            if value == bare:
+                colour = BEFORE
+            elif name in refused:
+                colour = WARNING
+            bars[row, column] = (1.0 if _lost(value) else value / (top or 1.0), colour)
+    return bars
+
+
+def _lost(value: float) -> bool:
+    return isnan(value) or has_diverged(value)
 
 
 def marked_label(name: str, refused: Collection[str]) -> str:

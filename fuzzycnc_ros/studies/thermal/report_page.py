@@ -9,22 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
-from fuzzycnc_ros.studies.page.chart import Axis, Band, Chart, Panel, Picture, Rule, Series, View
+from fuzzycnc_ros.studies.page.chart import Axis, Band, Chart, Panel, Rule, Series
 from fuzzycnc_ros.studies.page.drawing import (
     AFTER,
     ANOTHER,
     BEFORE,
     CLUSTER_COLOURS,
     FAINT,
-    INK,
     LIMIT,
     MEASURED,
     MUTED,
     OTHER,
     WARNING,
-    add_legend,
-    new_figure,
-    plot_style,
     time_axis,
 )
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
@@ -205,7 +201,7 @@ def _latency_figure(latency: Latency) -> Figure:
         f'{len(latency.sample)} samples, wall-clock time between publishing the temperatures and '
         f'receiving the compensation: median {1e3 * latency.median:.2f} ms, 99th percentile '
         f'{1e3 * latency.p99:.2f} ms, longest {1e3 * latency.sample.max():.2f} ms.',
-        latency_picture(latency),
+        latency_chart(latency),
     )
 
 
@@ -333,33 +329,22 @@ def sensor_count_chart(curve: SensorCountCurve) -> Chart:
     return Chart(Axis('number of sensors', ticks=tuple(count)), [panel], height=2.9)
 
 
-def latency_picture(latency: Latency) -> Picture:
-    """Draw how long it took from a temperature sample to its compensation."""
-    with plot_style():
-        figure = new_figure(2.5)
-        axes = figure.subplots()
-        milliseconds = 1e3 * latency.sample
-        # One straggler must not squeeze all others into a single bar.
-        edge = max(1.5e3 * latency.p99, float(milliseconds.min()) + 1e-3)
-        bins = np.linspace(0.0, edge, 61)
-        count, _, _ = axes.hist(np.minimum(milliseconds, edge), bins=bins, color=AFTER, alpha=0.55)
-        for value, label, colour in (
-            (latency.median, 'median', INK),
-            (latency.p99, '99th percentile', WARNING),
-        ):
-            axes.axvline(1e3 * value, color=colour, label=f'{label} {1e3 * value:.2f} ms')
-        axes.set_xlim(0.0, edge)
-        axes.set_xlabel('latency [ms]; the last bar holds all that is longer')
-        axes.set_ylabel('samples')
-        axes.grid(visible=False, axis='x')
-        add_legend(figure, *axes.get_legend_handles_labels())
-        reached = [*(f'{end:.3g}' for end in bins[1:-1]), f'{max(edge, milliseconds.max()):.3g}']
-        read = {
-            'latency [ms]': [f'{a:.3g} to {b}' for a, b in zip(bins[:-1], reached, strict=True)],
-            'samples': count,
-        }
-        view = View(axes, 0.5 * (bins[1:] + bins[:-1]), count, read=read)
-        return Picture(figure, {'latency [ms]': milliseconds}, [view])
+def latency_chart(latency: Latency) -> Chart:
+    """Declare the share of samples whose compensation came within a time."""
+    milliseconds = 1e3 * np.sort(latency.sample)
+    share = 100.0 * np.arange(1, len(milliseconds) + 1) / len(milliseconds)
+    rules = [
+        Rule(1e3 * value, colour, f'{name} {1e3 * value:.2f} ms', _DASHED, upright=True)
+        for name, value, colour in (
+            ('median', latency.median, MUTED),
+            ('99th percentile', latency.p99, WARNING),
+        )
+    ]
+    series = [Series('compensated within that time', share, AFTER, kind='steps')]
+    panel = Panel(
+        milliseconds, Axis('share of samples', '%', low=0.0, high=108.0), series, rules=rules
+    )
+    return Chart(Axis('latency', 'ms', 'log'), [panel], height=2.5)
 
 
 def _by_channel(run: CompensationRun, panel: Callable[[int, NDArray[np.float64]], Panel]) -> Chart:

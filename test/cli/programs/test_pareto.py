@@ -34,7 +34,7 @@ def test_figures_of_a_program(fuzzycnc, program, tmp_path):
     assert 'run 1 of 1, lines 3 to 6' in outcome.out
     assert 'less time than fuzzy' in outcome.out
     page = (tmp_path / 'page.html').read_text()
-    assert '<svg' in page
+    assert 'class="chart"' in page
     assert 'log-fuzzy (default)' in page
     assert 'run 1 of 1, lines 3 to 6' in page
 

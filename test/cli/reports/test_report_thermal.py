@@ -12,9 +12,8 @@ from thermal_test_bags import write_test
 
 from fuzzycnc_ros.cli.main import run
 from fuzzycnc_ros.cli.reports import thermal
-from fuzzycnc_ros.studies.page.chart import Picture
 from fuzzycnc_ros.studies.page.drawing import plot_style
-from fuzzycnc_ros.studies.page.html import Figure, Page, Section
+from fuzzycnc_ros.studies.page.html import Page, Section
 from fuzzycnc_ros.studies.page.pdf import HEIGHT, LEFT, WIDTH, render_pdf, sheets
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.requirement import require
@@ -93,10 +92,16 @@ def test_the_same_page_gives_the_same_pdf():
     assert first.count(b'/Type /Page ') == 2
 
 
-def test_what_is_no_chart_does_not_go_on_paper():
-    figure = Figure('Bars', 'Some.', Picture(None, {}))
-    with pytest.raises(ValueError, match="figure 'Bars': expected a chart but found a picture"):
-        render_pdf(Page('Title', '', [Section('Part', figures=[figure])]))
+def test_a_table_that_fits_on_a_sheet_is_not_split_and_a_longer_one_has_its_head_on_each():
+    columns = (Column('Term', numeric=False), Column('X'))
+    short = Table('Short', columns, tuple((f'short {n}', '1') for n in range(60)))
+    long = Table('Long', columns, tuple((f'long {n}', '1') for n in range(120)))
+    with plot_style():
+        found = sheets(Page('Title', '', [Section('Part', tables=[short, short, long])]))
+    texts = [[text.get_text() for text in sheet.texts] for sheet in found]
+    assert [sum(text.startswith('short') for text in sheet) for sheet in texts[:2]] == [60, 60]
+    assert sum(text.startswith('long') for sheet in texts for text in sheet) == 120
+    assert all(sum(text.startswith('Term') for text in sheet) >= 1 for sheet in texts)
 
 
 def test_what_nobody_told_is_not_stated(fuzzycnc, tmp_path):

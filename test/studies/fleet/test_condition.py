@@ -137,7 +137,7 @@ def test_tables_and_document_say_the_same(shop):
 
 @pytest.mark.slow
 def test_the_page_says_how_many(shop):
-    pytest.importorskip('matplotlib', reason='matplotlib is not installed')
+    pytest.importorskip('jinja2', reason='jinja2 is not installed')
     text = render_page(shop_page(shop, 'shop.parquet'))
     assert '1 of 6 machines drift beyond chance, 3 of 5 models are stale' in text
     assert '1 of 1 sensors fail, 1 of 251 bags could not be judged' in text

@@ -12,7 +12,9 @@ from fuzzycnc_ros.core.thermal.candidate import CANDIDATES
 from fuzzycnc_ros.core.thermal.fit import Evaluation
 from fuzzycnc_ros.core.thermal.fit.comparison import Comparison, HeldOut
 from fuzzycnc_ros.core.thermal.fit.selection import SensorCount
+from fuzzycnc_ros.studies.page.drawing import AFTER, BEFORE, LIMIT, WARNING
 from fuzzycnc_ros.studies.page.html import Remark
+from fuzzycnc_ros.studies.thermal import comparison_page
 from fuzzycnc_ros.studies.thermal.comparison import (
     best_candidates,
     best_lines,
@@ -301,95 +303,42 @@ def test_every_candidate_has_a_label_of_its_own():
 # Plots and pages
 
 
-@pytest.fixture(scope='module')
-def plotting():
-    pytest.importorskip('matplotlib', reason='matplotlib is not installed')
-    from fuzzycnc_ros.studies.thermal import comparison_page as comparison_plots
-
-    return comparison_plots
+def bars(rows, refused=()):
+    """Return share and colour of the bar of each row and channel."""
+    table = residual_table('a run', CHANNEL, rows, rows, refused)
+    return [[table.bars.get((row, column)) for row in range(len(rows))] for column in (1, 3)]
 
 
-ROWS = {'uncompensated': um(20, 10), 'mlp': um(2.25, 4), 'default': um(3, 5)}
-
-
-def bars(plotting, rows, **options):
-    return plotting.residuals_picture(CHANNEL, rows, {name: name for name in rows}, **options)
-
-
-def test_bars_are_blue_only_where_less_is_left_than_without(plotting):
+def test_bars_are_blue_only_where_less_is_left_than_without():
     rows = {'uncompensated': um(9, 10), 'mlp': um(19, 4), 'arma': um(3, 3), 'default': um(3, 50)}
-    from matplotlib.colors import to_hex
-
-    first, second = bars(plotting, rows, refused=('arma',), default='default').figure.axes
-
-    def colours(axes):
-        return [to_hex(mark.get_color()) for mark in axes.lines]
-
-    orange, blue, red = plotting.BEFORE, plotting.AFTER, plotting.LIMIT
-    yellow = plotting.WARNING
-    assert colours(first) == [orange, red, yellow, blue]
-    assert colours(second) == [orange, blue, yellow, red]
+    first, second = bars(rows, refused=('arma',))
+    assert [colour for _, colour in first] == [BEFORE, LIMIT, WARNING, AFTER]
+    assert [colour for _, colour in second] == [BEFORE, AFTER, WARNING, LIMIT]
     same = {'uncompensated': um(9, 10), 'default': um(9, 10)}
-    axes = bars(plotting, same, default='default').figure.axes[0]
-    assert [to_hex(bar.get_facecolor()) for bar in axes.patches] == [orange, orange]
+    assert bars(same) == 2 * [2 * [(1.0, BEFORE)]]
 
 
-def texts(axes):
-    return [text.get_text() for text in axes.texts]
+def test_bars_are_as_long_as_their_figures_beside_the_largest_that_has_not_diverged():
+    rows = {
+        'uncompensated': um(20, 10),
+        'mlp': um(5, np.nan),
+        'arma': um(np.inf, 1e6),
+        'default': um(2, 5),
+    }
+    first, second = bars(rows, refused=('arma',))
+    assert [share for share, _ in first] == pytest.approx([1.0, 0.25, 1.0, 0.1])
+    assert second[1] is None
+    assert [share for share, _ in (second[0], *second[2:])] == pytest.approx([1.0, 1.0, 0.5])
 
 
-def test_bars_begin_at_zero_and_are_as_long_as_their_figures(plotting):
-    picture = bars(plotting, ROWS)
-    axes = picture.figure.axes[0]
-    assert axes.get_xscale() == 'linear'
-    assert axes.get_xlim()[0] == 0.0
-    assert [bar.get_x() for bar in axes.patches] == [0.0, 0.0, 0.0]
-    assert [bar.get_width() for bar in axes.patches] == pytest.approx([20, 2.25, 3])
-    assert texts(axes) == ['20.0', '2.2', '3.0']
-    assert [label.get_text() for label in axes.get_yticklabels()] == list(ROWS)
-    assert list(picture.columns) == ['model', 'Y rmse [µm]', 'Z rmse [µm]']
-    assert picture.columns['Y rmse [µm]'] == pytest.approx([20, 2.25, 3])
-
-
-def test_a_wide_range_gets_dots_on_a_logarithmic_scale(plotting):
-    axes = bars(plotting, {**ROWS, 'arma': um(0.25, 900)}).figure.axes[0]
-    assert axes.get_xscale() == 'log'
-    assert not axes.patches
-    assert [float(dot.get_xdata()[0]) for dot in axes.lines] == pytest.approx([20, 2.25, 3, 0.25])
-    assert texts(axes)[-1] == '0.25'
-    assert axes.get_xlim()[1] > 20
-
-
-def test_what_diverged_is_an_arrow_at_the_edge_and_what_is_absent_is_not_drawn(plotting):
-    rows = {**ROWS, 'arma': um(np.inf, 1e6), 'mlp': um(np.nan, 4)}
-    picture = bars(plotting, rows, refused=('arma',), default='default')
-    first, second = picture.figure.axes
-    assert texts(first) == ['20.0', '3.0', 'diverged']
-    assert texts(second) == ['10.0', '4.0', '5.0', 'diverged']
-    (arrow,) = first.lines
-    assert arrow.get_marker() == '>'
-    assert float(arrow.get_xdata()[0]) == pytest.approx(first.get_xlim()[1])
-    nothing = {name: um(np.inf, np.nan) for name in ROWS}
-    assert texts(bars(plotting, nothing).figure.axes[0]) == ['diverged'] * 3
-    table = bars(plotting, nothing).document()['table']
-    assert table[1] == ['uncompensated', '', '']
-
-
-@pytest.mark.parametrize(('panels', 'rows'), [(1, 1), (5, 1), (6, 2), (8, 2), (11, 3)])
-def test_panels_fill_their_rows(plotting, panels, rows):
-    heading = [str(number) for number in range(panels)]
-    values = {'mlp': um(*range(1, panels + 1))}
-    figure = plotting.residuals_picture(heading, values, {'mlp': 'MLP'}).figure
-    assert len(figure.axes) == panels
-    assert figure.axes[0].get_gridspec().nrows == rows
-
-
-def test_traces_are_what_is_left_and_leave_gaps_where_nothing_was(plotting):
+def test_traces_are_what_is_left_and_leave_gaps_where_nothing_was():
     left = {'uncompensated': np.stack([um(1, 2), um(3, np.nan)]), 'default': np.zeros((2, 2))}
-    chart = plotting.traces_chart(np.array([0.0, 60.0]), CHANNEL, left, {n: n for n in left})
+    chart = comparison_page.traces_chart(
+        np.array([0.0, 60.0]), CHANNEL, left, {n: n for n in left}
+    )
     bare, default = chart.panels[1].series
-    assert (bare.name, bare.colour) == ('uncompensated', plotting.BEFORE)
-    assert (default.name, default.colour) == ('default', plotting.AFTER)
+    assert (bare.name, bare.colour) == ('uncompensated', BEFORE)
+    assert (default.name, default.colour) == ('default', AFTER)
     assert bare.y[0] == pytest.approx(2.0)
     assert np.isnan(bare.y[1])
     assert list(default.y) == [0.0, 0.0]
@@ -424,7 +373,7 @@ def curves():
     )
 
 
-def test_sensor_curves_over_runs(plotting):
+def test_sensor_curves_over_runs():
     from fuzzycnc_ros.studies.thermal.sensor_curve import sensor_curve_document, sensor_curve_table
 
     table = sensor_curve_table(curves())
@@ -439,7 +388,7 @@ def test_sensor_curves_over_runs(plotting):
     )
     assert document['held_out']['T3']['1']['sensors'] == ['T1']
     item = curves()
-    chart = plotting.sensor_counts_chart(
+    chart = comparison_page.sensor_counts_chart(
         item.count, item.channel, item.mean(), item.worst(), item.largest()
     )
     assert [list(series.y) for series in chart.panels[0].series] == [
@@ -450,29 +399,28 @@ def test_sensor_curves_over_runs(plotting):
     assert np.isnan(chart.panels[1].series[0].y[1])  # a gap, not the edge of the plot
 
 
-def test_page_of_a_comparison(plotting):
+def test_page_of_a_comparison():
     pytest.importorskip('jinja2', reason='jinja2 is not installed')
     from fuzzycnc_ros.studies.page.html import render_page
-    from fuzzycnc_ros.studies.thermal.comparison_page import comparison_page
 
     two = Comparison(
         (held_out('T<2>', mlp=um(1, 1), refused={'mlp': 'a & b'}), held_out('T3', mlp=um(1, 1)))
     )
-    page = render_page(comparison_page(two, {'Seed': '7'}))
-    assert page == render_page(comparison_page(two, {'Seed': '7'}))
+    page = render_page(comparison_page.comparison_page(two, {'Seed': '7'}))
+    assert page == render_page(comparison_page.comparison_page(two, {'Seed': '7'}))
     assert re.findall(r'<h2>(.*?)</h2>', page) == [
         'All held-out runs',
         'Held out: T&lt;2&gt;',
         'Held out: T3',
         'Provenance',
     ]
-    assert re.findall(r'<b>Figure (\d)\.', page) == list('12345')
+    assert re.findall(r'<b>Figure (\d)\.', page) == list('12')
     assert 'MLP is not to be trusted: a &amp; b' in page
     assert 'LagRidge (Y), Static ridge (Z)' in page
     assert page.count('<table class="dense">') == 3
     assert 'T<2>' not in page
     assert '<dt>Judged</dt><dd>T&lt;2&gt;: ' in page
-    one = render_page(comparison_page(Comparison(two.held_out[1:]), {}))
+    one = render_page(comparison_page.comparison_page(Comparison(two.held_out[1:]), {}))
     assert 'All held-out runs' not in one
     assert 'one held-out run' in one
     assert 'Provenance' not in one

@@ -99,7 +99,7 @@ def test_figures_and_table(found):
 
 
 def test_page_shows_every_run(found):
-    pytest.importorskip('matplotlib', reason='matplotlib is not installed')
+    pytest.importorskip('jinja2', reason='jinja2 is not installed')
     page = render_page(learnt.learnt_page(found, {'Machine': 'mill'}))
     assert all(f'{item.run}: error, prediction and probes' in page for item in found)
 

@@ -1,23 +1,80 @@
 // Copyright The fuzzycnc authors
 // SPDX-License-Identifier: Apache-2.0
 // Charts that are zoomed into, read under the cursor and saved as CSV; what they hold is declared in
-// fuzzycnc_ros/studies/page/chart.py. Pictures are copies of their drawing for paper (pictures.js).
+// fuzzycnc_ros/studies/page/chart.py.
+/* global uPlot, gestures */
 (() => {
   'use strict';
-  const {decades, decoded, plain, readable, withUnit} = reading;
   const DOTS_MAX = 140;
   const SHARE_MIN = 5e-4; // of a whole axis that is shown at least
-  const PIXELS = 84; // of an inch of the figure on paper
-  const narrow = matchMedia('(max-width: 760px)');
-  const dark = matchMedia('(prefers-color-scheme: dark)');
+  const PIXELS = 84; // of an inch of a declared height
+  const TRUE = 96 / 25.4; // pixels of a millimetre
+  const CLICK = 5; // pixels that a click may move
+  const FONT = 'px system-ui, sans-serif';
 
   const colour = name =>
     name.startsWith('--')
       ? getComputedStyle(document.documentElement).getPropertyValue(name).trim()
       : name;
+  const faded = hex => (/^#[0-9a-f]{6}$/i.test(hex) ? `${hex}66` : hex);
+  const withUnit = (text, unit) => (unit && text !== '–' ? `${text} ${unit}` : text);
+
+  const element = (kind, name, parent, text = '') => {
+    const made = document.createElement(kind);
+    made.className = name;
+    made.textContent = text;
+    parent.append(made);
+    return made;
+  };
+
+  // Numbers come as whole multiples of a decimal place, each less the one before it.
+  function decoded({decimals, steps}) {
+    const unit = 10 ** Math.abs(decimals);
+    let sum = 0;
+    return steps.map(step => {
+      if (step === null) return null;
+      sum += step;
+      return decimals < 0 ? sum * unit : sum / unit;
+    });
+  }
+
+  function plain(value) {
+    const size = Math.abs(value);
+    if (size !== 0 && (size >= 1e6 || size < 1e-5)) return value.toExponential(2);
+    return String(Number(value.toPrecision(6)));
+  }
+
+  // What is read off: as many decimals as the data tell apart, three at most behind whole numbers.
+  function readable(value, decimals) {
+    if (value === null || value === undefined) return '–';
+    const size = Math.abs(value);
+    const most = size >= 100 ? 1 : size >= 1 ? 2 : 4;
+    if (size !== 0 && (size >= 1e6 || size < 1e-4)) return value.toExponential(2);
+    return value.toFixed(Math.max(0, Math.min(decimals, most)));
+  }
+
+  // Plain numbers on a logarithmic axis: all of a decade where there is room, else 1, 2 and 5.
+  function decades(low, high) {
+    const span = Math.log10(high / low);
+    const every = span < 0.6 ? [1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9] : span < 3 ? [1, 2, 5] : [1];
+    const found = [];
+    for (let power = Math.floor(Math.log10(low)); power <= Math.ceil(Math.log10(high)); power++)
+      for (const step of every) {
+        const tick = Number((step * 10 ** power).toPrecision(3));
+        if (tick >= low && tick <= high) found.push(tick);
+      }
+    return found;
+  }
 
   // Give a panel its columns: x, series, then the edges of bands.
   function unpacked(panel) {
+    if (panel.plane) {
+      for (const item of panel.series) {
+        item.places = [item.x.decimals, item.y.decimals];
+        for (const key of ['x', 'y', 'level']) item[key] = item[key] && decoded(item[key]);
+      }
+      return;
+    }
     panel.columns = [decoded(panel.x), ...panel.series.map(item => decoded(item.y))];
     panel.places = [panel.x.decimals, ...panel.series.map(item => item.y.decimals)];
     for (const band of panel.bands)
@@ -25,7 +82,6 @@
         panel.columns.push(decoded(band[side]));
         panel.places.push(band[side].decimals);
       }
-    return panel;
   }
 
   function scaleOf(axis, time) {
@@ -46,6 +102,45 @@
     };
     return scale;
   }
+
+  // What both kinds of panels share: their size, place of the cursor, axes.
+  function axesOf(x, y) {
+    const marks = axis => {
+      const places = axis.ticks.length
+        ? (low, high) => axis.ticks.filter(tick => tick >= low && tick <= high)
+        : axis.scale === 'log' ? decades : null;
+      if (!places) return {};
+      return {splits: (u, i, low, high) => places(low, high), filter: (u, splits) => splits};
+    };
+    const axisOf = axis => ({
+      stroke: colour('--muted'),
+      grid: {stroke: colour('--grid'), width: 1},
+      ticks: {stroke: colour('--faint'), width: 1, size: 4},
+      font: `12${FONT}`,
+      labelFont: `12${FONT}`,
+      labelSize: 18,
+      values: (u, splits) => splits.map(value => (value === null ? '' : plain(value))),
+      ...marks(axis),
+    });
+    return [
+      {...axisOf(x), label: x.label, size: 34},
+      {
+        ...axisOf(y),
+        space: 22,
+        size: (u, values) => 14 + 7 * Math.max(2, ...(values || []).map(value => value.length)),
+      },
+    ];
+  }
+
+  // The name of a y axis stands above it, where there is room for all of it.
+  function headOf(panel, place) {
+    const head = element('p', 'head', place);
+    if (panel.title) element('b', '', head, panel.title);
+    element('span', '', head, panel.y.label);
+  }
+
+  const heightOf = (chart, panel) =>
+    Math.round(Math.max(PIXELS * chart.height * panel.share, 180));
 
   // Of many dots some are shown; zooming in shows the rest.
   const someDots = (u, index, show) => {
@@ -70,7 +165,7 @@
       spanGaps: item.joined,
       points: {show: dots, size: 5, fill: stroke, width: 0},
       value: (u, value) =>
-        flag ? (value ? 'yes' : value === 0 ? 'no' : '–')
+        u.cursor.idx == null ? '' : flag ? (value ? 'yes' : value === 0 ? 'no' : '–')
           : withUnit(readable(value, decimals), axis.unit),
     };
     if (dots) shown.points.filter = someDots;
@@ -80,18 +175,22 @@
     return shown;
   }
 
-  const faded = hex => (/^#[0-9a-f]{6}$/i.test(hex) ? `${hex}66` : hex);
-
-  function drawRules(u, panel) {
+  // Draw between the axes; `ratio` is a pixel of the page in those of the canvas.
+  function within(u, font, draw) {
     const {ctx, bbox} = u;
     const ratio = devicePixelRatio;
     ctx.save();
     ctx.beginPath();
     ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
     ctx.clip();
-    ctx.font = `${11 * ratio}px system-ui, sans-serif`;
+    ctx.font = font.replace(/(\d+)px/, (_, size) => `${size * ratio}px`);
     ctx.textAlign = 'left';
     ctx.textBaseline = 'alphabetic';
+    draw(ctx, bbox, ratio);
+    ctx.restore();
+  }
+
+  const drawRules = (u, panel) => within(u, `11${FONT}`, (ctx, bbox, ratio) => {
     for (const span of panel.spans) {
       const [from, to] = [span.low, span.high].map(end => u.valToPos(end, 'x', true));
       ctx.fillStyle = `${colour(span.colour)}24`;
@@ -116,24 +215,35 @@
         ctx.lineTo(bbox.left + bbox.width, at);
       }
       ctx.stroke();
+      if (!rule.name) continue;
       ctx.fillStyle = colour('--muted');
-      if (rule.name && rule.upright) ctx.fillText(rule.name, at + 4 * ratio, bbox.top + 12 * ratio);
-      else if (rule.name) ctx.fillText(rule.name, bbox.left + 4 * ratio, at - 4 * ratio);
+      // A name stands on the side of its line where there is room for it.
+      const size = ctx.measureText(rule.name).width + 4 * ratio;
+      const beside = at + size < bbox.left + bbox.width ? at + 4 * ratio : at - size;
+      const above = at - 16 * ratio > bbox.top ? at - 4 * ratio : at + 13 * ratio;
+      if (rule.upright) ctx.fillText(rule.name, beside, bbox.top + 12 * ratio);
+      else ctx.fillText(rule.name, bbox.left + 4 * ratio, above);
     }
-    ctx.restore();
-  }
+  });
 
-  function drawMarks(u, panel) {
-    const {ctx, bbox} = u;
-    const ratio = devicePixelRatio;
+  const drawMarks = (u, panel) => within(u, `600 12${FONT}`, (ctx, bbox, ratio) => {
     const xs = u.data[0];
-    ctx.save();
-    ctx.beginPath();
-    ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
-    ctx.clip();
-    ctx.font = `600 ${12 * ratio}px system-ui, sans-serif`;
-    ctx.textAlign = 'left';
-    ctx.textBaseline = 'alphabetic';
+    const taken = [];
+    // A name stands on the first side of its dot where no other one stands.
+    function name(text, x, y) {
+      const [width, height] = [ctx.measureText(text).width, 12 * ratio];
+      const right = x + 6 * ratio;
+      const left = x - 6 * ratio - width;
+      const [above, below] = [y - 5 * ratio, y + 13 * ratio];
+      const free = [[right, above], [left, above], [right, below], [left, below]].find(([a, b]) =>
+        a >= bbox.left && a + width <= bbox.left + bbox.width && b - height >= bbox.top
+        && b <= bbox.top + bbox.height && taken.every(other =>
+          a > other.right || a + width < other.left || b - height > other.below
+          || b < other.above));
+      if (!free) return;
+      taken.push({left: free[0], right: free[0] + width, above: free[1] - height, below: free[1]});
+      ctx.fillText(text, ...free);
+    }
     panel.series.forEach((item, index) => {
       const values = u.data[index + 1];
       if (item.kind === 'flag') {
@@ -151,15 +261,13 @@
           i = last;
         }
       }
+      ctx.fillStyle = colour('--ink');
       item.text.forEach((text, i) => {
-        if (!text || values[i] === null) return;
-        ctx.fillStyle = colour('--ink');
-        ctx.fillText(text, u.valToPos(xs[i], 'x', true) + 6 * ratio,
-          u.valToPos(values[i], 'y', true) - 5 * ratio);
+        if (text && values[i] !== null)
+          name(text, u.valToPos(xs[i], 'x', true), u.valToPos(values[i], 'y', true));
       });
     });
-    ctx.restore();
-  }
+  });
 
   // Of the many in the background the nearest is named.
   function nearestQuiet(u, panel, axis) {
@@ -177,8 +285,8 @@
     return `nearest: ${best.item.name} ${text}`;
   }
 
-  // What gestures do to a curve; `kin` gives all plots that show the same stretch.
-  function viewOf(u, keys, kin) {
+  // What gestures do to a plot; `kin` gives all plots that show the same stretch.
+  function viewOf(u, keys, kin, whole) {
     const size = key => (key === 'x' ? u.over.clientWidth : u.over.clientHeight);
     const all = Object.fromEntries(keys.map(key => [key, [u.scales[key].min, u.scales[key].max]]));
     // The ends of the whole axis, as shares of what is shown; from the left, and from the top.
@@ -199,7 +307,6 @@
           for (const [key, {ends: [min, max]}] of stretches) plot.setScale(key, {min, max});
         });
     }
-    const whole = () => { for (const plot of kin()) plot.setData(plot.data); };
     return {
       zoom(factor, at) {
         const share = keys.map(key => 1 / factor / (limits(key)[1] - limits(key)[0]));
@@ -219,58 +326,35 @@
 
   function chartOf(panel, one, place) {
     const {chart, key} = one;
-    const {x, linked, height} = chart;
+    const {x, linked} = chart;
     const quiet = panel.series.some(item => item.quiet);
     const course = panel.series.some(item => item.kind === 'line' || item.kind === 'steps');
-    const note = document.createElement('p');
-    note.className = 'nearest';
-    const stretch = document.createElement('p');
-    stretch.className = 'nearest';
+    headOf(panel, place);
     let whole = '';
-    const ink = colour('--muted');
-    const grid = {stroke: colour('--grid'), width: 1};
-    const marks = axis => {
-      const places = axis.ticks.length
-        ? (low, high) => axis.ticks.filter(tick => tick >= low && tick <= high)
-        : axis.scale === 'log' ? decades : null;
-      if (!places) return {};
-      return {splits: (u, i, low, high) => places(low, high), filter: (u, splits) => splits};
-    };
-    const axisOf = (axis, side) => ({
-      label: side === 'x' || place.clientWidth > 0 ? axis.label : '',
-      stroke: ink,
-      grid,
-      ticks: {stroke: colour('--faint'), width: 1, size: 4},
-      font: '12px system-ui, sans-serif',
-      labelFont: '12px system-ui, sans-serif',
-      labelSize: 18,
-      values: (u, splits) => splits.map(value => (value === null ? '' : plain(value))),
-      ...marks(axis),
-    });
-    const sizeOf = () => ({
-      width: Math.max(place.clientWidth, 120),
-      height: Math.round(Math.max(PIXELS * height * panel.share, narrow.matches ? 180 : 120)),
-    });
+    const sizeOf = () =>
+      ({width: Math.max(place.clientWidth, 120), height: heightOf(chart, panel)});
     const edges = panel.bands.flatMap(band => ['low', 'high'].map(side => ({
       label: band.name,
       stroke: 'transparent',
       width: 0,
       points: {show: false},
       value: (u, value, index, row) => {
+        if (u.cursor.idx == null) return '';
         const low = readable(row === null ? null : u.data[index - 1][row], band.low.decimals);
         const text = `${low} to ${readable(value, band.high.decimals)}`;
         return value === null || value === undefined ? '–' : withUnit(text, panel.y.unit);
       },
     })));
     const first = 1 + panel.series.length;
-    const drag = course ? {x: true, y: false} : {x: true, y: true, uni: 30};
+    const note = element('p', 'nearest', place);
+    const stretch = element('p', 'nearest', place);
+    note.hidden = !quiet;
     const u = new uPlot(
       {
         ...sizeOf(),
-        title: panel.title || undefined,
         legend: {live: true, markers: {width: 0, fill: (u, i) => markerOf(panel, i)}},
         cursor: {
-          drag,
+          drag: course ? {x: true, y: false} : {x: true, y: true, uni: 30},
           points: {size: 6},
           focus: {prox: -1},
           ...(linked ? {sync: {key, scales: ['x', null]}} : {}),
@@ -280,15 +364,13 @@
           y: scaleOf(panel.y, false),
           flag: {auto: false, range: [0, 1]},
         },
-        axes: [
-          {...axisOf(x, 'x'), size: 34},
-          {
-            ...axisOf(panel.y, 'y'),
-            size: (self, values) => 14 + 7 * Math.max(2, ...(values || []).map(v => v.length)),
-          },
-        ],
+        axes: axesOf(x, panel.y),
         series: [
-          {label: x.name, value: (u, value) => withUnit(readable(value, panel.x.decimals), x.unit)},
+          {
+            label: x.name,
+            value: (u, value) => (u.cursor.idx == null ? ''
+              : withUnit(readable(value, panel.x.decimals), x.unit)),
+          },
           ...panel.series.map((item, i) => seriesOf(item, panel.y, panel.places[i + 1])),
           ...edges,
         ],
@@ -307,13 +389,19 @@
             whole ||= stretch.textContent;
             stretch.hidden = stretch.textContent === whole;
           }],
-          setCursor: [self => { if (quiet) note.textContent = nearestQuiet(self, panel, panel.y); }],
+          setCursor: [self => {
+            note.textContent = nearestQuiet(self, panel, panel.y);
+            self.root.querySelector('.u-series').classList.toggle('idle', self.cursor.idx == null);
+          }],
           ready: [self => {
             // What is many stays out of the legend; the upper edge of a band stands for both.
             const rows = self.root.querySelectorAll('.u-legend .u-series');
             panel.series.forEach((item, i) => { rows[i + 1].hidden = item.quiet; });
             panel.bands.forEach((_, i) => { rows[first + 2 * i].hidden = true; });
-            const view = viewOf(self, course ? ['x'] : ['x', 'y'], () => (linked ? one.plots : [self]));
+            rows[0].classList.add('idle');
+            const kin = () => (linked ? one.plots : [self]);
+            const reset = () => { for (const plot of kin()) plot.setData(plot.data); };
+            const view = viewOf(self, course ? ['x'] : ['x', 'y'], kin, reset);
             gestures(self.over, view, panel.title || panel.y.name);
           }],
         },
@@ -322,8 +410,7 @@
         (panel.series[i - 1]?.joined ? column.map(value => value ?? undefined) : column)),
       place,
     );
-    if (quiet) place.append(note);
-    place.append(stretch);
+    place.append(note, stretch);
     new ResizeObserver(() => {
       if (place.clientWidth > 0 && place.clientWidth !== u.width) u.setSize(sizeOf());
     }).observe(place);
@@ -337,8 +424,200 @@
     return band ? `${colour(band.colour)}55` : 'transparent';
   }
 
-  // One table of all panels, by x; where panels have other rows, cells stay empty.
+  const endsOf = lists => {
+    let [low, high] = [Infinity, -Infinity];
+    for (const value of lists.flat())
+      if (value !== null) [low, high] = [Math.min(low, value), Math.max(high, value)];
+    return low <= high ? [low, high] : [0, 1];
+  };
+
+  // The colour of a level, mixed from those beside it.
+  function shadeOf({stops}) {
+    const known = stops.map(([level, name]) => [level, colour(name)
+      .match(/[0-9a-f]{2}/gi).map(part => parseInt(part, 16))]);
+    return value => {
+      const next = known.findIndex(([level]) => level >= value);
+      if (next <= 0) return `rgb(${known.at(next).at(1)})`;
+      const [[low, a], [high, b]] = [known[next - 1], known[next]];
+      const share = (value - low) / (high - low);
+      return `rgb(${a.map((part, i) => Math.round(part + share * (b[i] - part)))})`;
+    };
+  }
+
+  // A strip of the colours of levels, with a mark.
+  function stripOf({axis, stops, mark}, place) {
+    const bar = element('p', 'levels', place);
+    const [low, high] = [stops[0][0], stops.at(-1)[0]];
+    const share = level => `${(100 * (level - low)) / (high - low || 1)}%`;
+    element('span', '', bar, `${axis.name} ${plain(low)}`);
+    const strip = element('i', '', bar);
+    const colours = stops.map(([level, name]) => `${colour(name)} ${share(level)}`);
+    strip.style.background = `linear-gradient(to right, ${colours})`;
+    if (mark) element('b', '', strip).style.left = share(mark[0]);
+    element('span', '', bar, withUnit(plain(Number(high.toPrecision(3))), axis.unit)
+      + (mark ? `; mark: ${mark[1]} ${withUnit(plain(Number(mark[0].toPrecision(4))), axis.unit)}` : ''));
+  }
+
+  // A panel of places in a plane: x and y go together, and the nearest place is read.
+  function planeOf(panel, one, place) {
+    const {chart} = one;
+    const {shades} = panel;
+    const axes = [chart.x, panel.y];
+    const shade = shades && shadeOf(shades);
+    headOf(panel, place);
+    if (panel.series.length > 1) {
+      const names = element('p', 'names', place);
+      for (const {name, colour: own} of panel.series)
+        element('i', '', element('span', '', names, name)).style.background = colour(own);
+    }
+    if (shades) stripOf(shades, place);
+    const wide = panel.true_scale ? element('div', 'wide', place) : place;
+    const data = ['x', 'y'].map(key => endsOf(panel.series.map(item => item[key])));
+    const room = data.map(([low, high]) => 0.04 * (high - low) || 1);
+    const full = data.map(([low, high], i) => [low - room[i], high + room[i]]);
+    const wanted = full.map(([low, high]) => TRUE * (high - low));
+    const sizeOf = () => panel.true_scale
+      ? {width: wanted[0] + 60, height: wanted[1] + 60}
+      : {
+        width: Math.max(place.clientWidth, 120),
+        // On a narrow page a plane needs no more height than its places have.
+        height: Math.min(heightOf(chart, panel),
+          90 + Math.max(120, panel.plane * place.clientWidth * wanted[1] / wanted[0])),
+      };
+
+    // Show at least these stretches, in the scale of the plane.
+    function fit(u, ends) {
+      const size = [u.over.clientWidth, u.over.clientHeight];
+      const [x, y] = ends.map(([low, high], i) => (high - low) / size[i] * (i ? panel.plane : 1));
+      const unit = Math.max(x, y);
+      u.batch(() => ends.forEach(([low, high], i) => {
+        const half = unit * size[i] / (i ? panel.plane : 1) / 2;
+        const middle = (low + high) / 2;
+        u.setScale('xy'[i], {min: middle - half, max: middle + half});
+      }));
+    }
+
+    let all = null; // the lengths of the whole
+    function whole(u) {
+      all = null;
+      fit(u, full);
+      all = ['x', 'y'].map(key => u.scales[key].max - u.scales[key].min);
+    }
+
+    const draw = u => within(u, `11${FONT}`, (ctx, bbox, ratio) => {
+      ctx.lineJoin = ctx.lineCap = 'round';
+      for (const item of panel.series) {
+        const at = i => [u.valToPos(item.x[i], 'x', true), u.valToPos(item.y[i], 'y', true)];
+        ctx.strokeStyle = ctx.fillStyle = colour(item.colour);
+        ctx.lineWidth = 1.4 * ratio * item.width;
+        let open = false;
+        ctx.beginPath();
+        item.x.forEach((x, i) => {
+          const known = x !== null && item.y[i] !== null;
+          if (item.kind === 'dots') {
+            if (!known) return;
+            ctx.moveTo(...at(i));
+            ctx.arc(...at(i), 1.6 * ratio, 0, 2 * Math.PI);
+          } else if (known && open && item.level) {
+            // Each piece has a colour of its own.
+            ctx.strokeStyle = shade(item.level[i]);
+            ctx.lineTo(...at(i));
+            ctx.stroke();
+            ctx.beginPath();
+            ctx.moveTo(...at(i));
+          } else if (known) {
+            if (open) ctx.lineTo(...at(i));
+            else ctx.moveTo(...at(i));
+          }
+          open = known;
+        });
+        if (item.kind === 'dots') ctx.fill();
+        else ctx.stroke();
+      }
+    });
+
+    // The place next to the cursor, and what is read there.
+    function nearest(u) {
+      const {left, top} = u.cursor;
+      let best = {away: Infinity};
+      if (left >= 0)
+        for (const item of panel.series)
+          item.x.forEach((x, i) => {
+            if (x === null || item.y[i] === null) return;
+            const to = [u.valToPos(x, 'x'), u.valToPos(item.y[i], 'y')];
+            const away = Math.hypot(to[0] - left, to[1] - top);
+            if (away < best.away) best = {away, to, item, i};
+          });
+      spot.hidden = !best.item;
+      if (!best.item) return '';
+      const {to, item, i} = best;
+      Object.assign(spot.style, {left: `${to[0]}px`, top: `${to[1]}px`});
+      const words = ['x', 'y'].map((key, n) =>
+        `${axes[n].name} ${withUnit(readable(item[key][i], item.places[n]), axes[n].unit)}`);
+      if (item.level && item.level[i] !== null)
+        words.push(`${shades.axis.name} ${withUnit(readable(item.level[i], 2), shades.axis.unit)}`);
+      if (panel.series.length > 1) words.unshift(item.name);
+      return `nearest: ${words.join(', ')}`;
+    }
+
+    const note = element('p', 'nearest', place);
+    const stretch = element('p', 'nearest', place);
+    const spot = element('span', 'spot', place);
+    const u = new uPlot(
+      {
+        ...sizeOf(),
+        legend: {show: false},
+        cursor: {drag: {x: true, y: true, setScale: false}, points: {show: false}},
+        scales: Object.fromEntries(['x', 'y'].map(key =>
+          [key, {time: false, range: (self, low, high) => [low, high]}])),
+        axes: axesOf(...axes),
+        series: [{}, {stroke: 'transparent', points: {show: false}}],
+        hooks: {
+          draw: [draw],
+          setCursor: [self => { note.textContent = nearest(self); }],
+          setScale: [self => {
+            const part = ['x', 'y'].map(key => [self.scales[key].min, self.scales[key].max]);
+            spot.hidden = true;
+            stretch.textContent = all && part.some(([low, high], i) => high - low < 0.999 * all[i])
+              ? `Shown: ${part.map(([low, high], i) => `${axes[i].name} ${readable(low, 3)} to `
+                + withUnit(readable(high, 3), axes[i].unit)).join(', ')}` : '';
+          }],
+          ready: [self => {
+            self.over.append(spot);
+            if (panel.true_scale)
+              self.batch(() => self.setSize({
+                width: self.width + wanted[0] - self.over.clientWidth,
+                height: self.height + wanted[1] - self.over.clientHeight,
+              }));
+            whole(self);
+            self.over.addEventListener('dblclick', () => whole(self));
+            gestures(self.over, viewOf(self, ['x', 'y'], () => [self], () => whole(self)),
+              panel.title || 'plot');
+          }],
+          setSelect: [self => {
+            const {left, top, width, height} = self.select;
+            if (Math.hypot(width, height) < CLICK) return;
+            self.setSelect({left: 0, top: 0, width: 0, height: 0}, false);
+            fit(self, [[left, left + width].map(at => self.posToVal(at, 'x')),
+              [top + height, top].map(at => self.posToVal(at, 'y'))]);
+          }],
+        },
+      },
+      data,
+      wide,
+    );
+    place.append(note, stretch);
+    new ResizeObserver(() => {
+      if (panel.true_scale || place.clientWidth === 0 || place.clientWidth === u.width) return;
+      u.setSize(sizeOf());
+      whole(u);
+    }).observe(place);
+    return u;
+  }
+
+  // One table of all panels of a chart: places row by row, curves by x.
   function tableOf(chart) {
+    if (chart.panels.some(panel => panel.plane)) return placesOf(chart);
     const heads = [chart.x.label];
     const rows = new Map();
     let width = 1;
@@ -350,7 +629,7 @@
       heads.push(...names.map(([name, unit]) => `${before}${name}${unit ? ` [${unit}]` : ''}`));
       const seen = new Map();
       panel.columns[0].forEach((x, i) => {
-        // An x that comes twice gets two rows.
+        // An x that comes twice gets two rows; where panels have other rows, cells stay empty.
         const turn = (seen.get(x) ?? 0) + 1;
         seen.set(x, turn);
         const key = `${x}/${turn}`;
@@ -362,6 +641,14 @@
     }
     const found = [...rows.values()].sort((a, b) => a[0] - b[0]);
     return [heads, ...found.map(row => Array.from({length: width}, (_, c) => row[c] ?? ''))];
+  }
+
+  function placesOf(chart) {
+    const levels = chart.panels.find(panel => panel.shades)?.shades.axis.label;
+    const rows = chart.panels.flatMap(panel => panel.series.flatMap(item => item.x.map((x, i) =>
+      [panel.title, item.name, x, item.y[i], ...(levels ? [item.level?.[i]] : [])])));
+    return [['panel', 'series', chart.x.label, chart.panels[0].y.label, ...(levels ? [levels] : [])],
+      ...rows.filter(row => row[2] !== null).map(row => row.map(value => value ?? ''))];
   }
 
   function quoted(value) {
@@ -379,13 +666,6 @@
     setTimeout(() => URL.revokeObjectURL(url), 1000);
   }
 
-  function tools(figure, texts) {
-    const bar = figure.querySelector('.tools');
-    bar.hidden = false;
-    bar.querySelector('.hint').textContent = texts.join(' ');
-    return bar;
-  }
-
   const HINT = matchMedia('(hover: none)').matches
     ? 'Two fingers zoom and move, a double tap goes back.'
     : 'Drag to zoom, double-click to go back; or Ctrl and the wheel, or + and -, arrows and 0.';
@@ -393,26 +673,17 @@
   for (const source of document.querySelectorAll('script.chart')) {
     const figure = source.closest('figure');
     const chart = JSON.parse(source.textContent);
-    const name = `${document.body.dataset.name}-${figure.id}.csv`;
-    const screen = figure.querySelector('.screen');
-    if (chart.table) {
-      const hint = chart.views.length ? [HINT] : [];
-      tools(figure, hint).querySelector('button').onclick = () => save(chart.table, name);
-      if (!chart.views.length) continue;
-      figure.classList.add('live');
-      pictures.live(figure, chart, screen);
-      continue;
-    }
     chart.panels.forEach(unpacked);
-    const thinned = chart.panels.filter(panel => panel.kept);
     const texts = [HINT];
-    if (thinned.length) {
-      const most = Math.max(...thinned.map(panel => panel.kept[1]));
-      texts.push(`Of ${most} samples those are kept that show every extreme.`);
-    }
-    tools(figure, texts).querySelector('button').onclick = () => save(tableOf(chart), name);
-    figure.classList.add('live');
+    const most = Math.max(...chart.panels.map(panel => panel.kept?.[1] ?? 0));
+    if (most) texts.push(`Of ${most} samples those are kept that show every extreme.`);
+    const bar = figure.querySelector('.tools');
+    bar.querySelector('.hint').textContent = texts.join(' ');
+    bar.querySelector('button').onclick = () =>
+      save(tableOf(chart), `${document.body.dataset.name}-${figure.id}.csv`);
+    const screen = figure.querySelector('.screen');
     screen.style.setProperty('--columns', chart.columns);
+    figure.classList.add('live');
     charts.push({chart, screen, key: figure.id, plots: []});
   }
 
@@ -421,13 +692,13 @@
       one.plots.forEach(plot => plot.destroy());
       one.screen.replaceChildren();
       one.plots = one.chart.panels.map(panel => {
-        const place = document.createElement('div');
-        place.className = 'panel';
-        one.screen.append(place);
-        return chartOf(panel, one, place);
+        const place = element('div', 'panel', one.screen);
+        return (panel.plane ? planeOf : chartOf)(panel, one, place);
       });
     }
   }
   draw();
-  dark.addEventListener('change', draw);
+  // Canvases do not follow style sheets by themselves; paper is light.
+  for (const query of ['(prefers-color-scheme: dark)', 'print'])
+    matchMedia(query).addEventListener('change', draw);
 })();
