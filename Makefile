@@ -65,7 +65,7 @@ soak: setup ## The soak with options, see ARGS=--help
 	@$(ROS) '$(BIN)/python' test/qualification soak $(ARGS)
 
 .PHONY: hal
-hal: ## Build LinuxCNC's component fuzzycnc_offset into build/hal; needs halcompile
+hal: ## Build LinuxCNC's components into build/hal; needs halcompile
 	@command -v halcompile >/dev/null || { echo 'hal: expected halcompile but found none; Debian: apt-get install linuxcnc-uspace-dev'; exit 1; }
 	@mkdir -p build/hal && cp linuxcnc/*.comp linuxcnc/*.h build/hal && cd build/hal && halcompile --compile *.comp
 

@@ -3,10 +3,13 @@
 """`fuzzycnc advise` on real part programs and a real LinuxCNC, against a grid of own feeds.
 
 Of each program the first seconds of motion run on LinuxCNC without a screen: as advised, and with
-their own feeds under every acceleration and path mode of a grid.  HAL's `sampler` records what is
-commanded; contour errors are those of axes that follow with the lags of the simulated machine.
-Run with `python benchmarks/linuxcnc_advice.py --programs FOLDER [--json FILE]`, as a user who may
-start LinuxCNC.  Runs that FILE has are not made again.
+their own feeds under every acceleration and path mode of a grid, whose front is interpolated at
+the largest error of what is advised.  Feed shares along the path compete with the other remedies,
+so that the component `fuzzycnc_feed` must be installed (`fuzzycnc linuxcnc install --feed`).
+HAL's `sampler` records what is commanded; contour errors are those of axes that follow with the
+lags of the simulated machine.  Run with `python benchmarks/linuxcnc_advice.py --programs FOLDER
+[--json FILE]`, as a user who may start LinuxCNC; others may do so while advice is looked for.
+Runs that FILE has are not made again.
 """
 
 from __future__ import annotations
@@ -15,11 +18,13 @@ import argparse
 import json
 import re
 import sys
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from math import inf
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
@@ -38,6 +43,7 @@ from fuzzycnc_ros.simulation.controller.program import (
     simulate,
 )
 from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.programs.adaptive_feed import ADAPTIVE_MODE
 from fuzzycnc_ros.studies.programs.advice import Adviser, advised_program
 from fuzzycnc_ros.studies.programs.path_mode_words import program_with_mode
 from fuzzycnc_ros.studies.programs.program_judge import ProgramPath, ProgramResult
@@ -86,8 +92,9 @@ def duration(lines: list[str]) -> float:
 class Stand:
     """A LinuxCNC, and what its runs have shown; and what was advised."""
 
-    def __init__(self, memory: Path | None, recorder: Recorder) -> None:
-        self._memory, self._recorder = memory, recorder
+    def __init__(self, memory: Path | None) -> None:
+        self._memory = memory
+        self.recorder: Recorder | None = None
         known = memory is not None and memory.exists()
         self._found = json.loads(memory.read_text()) if memory and known else {}
 
@@ -102,13 +109,18 @@ class Stand:
         if self._memory is not None:
             self._memory.write_text(json.dumps(self._found, indent=1))
 
-    def run(self, name: str, text: str, path: ProgramPath, acceleration: float) -> ProgramResult:
+    def run(
+        self, name: str, text: str, path: ProgramPath, acceleration: float, table: str = ''
+    ) -> ProgramResult:
         """Run a program, if that has not been done."""
         if name not in self._found:
-            self._recorder.limit(LIMITS.velocity, LIMITS.acceleration)
-            self._recorder.origin()
-            self._recorder.limit(LIMITS.velocity, (acceleration,) * 3)
-            samples = self._recorder.run(text, TIMEOUT)
+            recorder = self.recorder
+            assert recorder is not None
+            recorder.limit(LIMITS.velocity, LIMITS.acceleration)
+            recorder.origin()
+            recorder.limit(LIMITS.velocity, (acceleration,) * 3)
+            recorder.follow(table or None)
+            samples = recorder.run(text, TIMEOUT)
             judged = path.judge(path.recorded(samples, PERIOD), MACHINE)
             self._found[name] = asdict(judged)
             print(f'{name}: {judged.duration:.2f} s, {1e6 * judged.error:.1f} um',
@@ -117,19 +129,34 @@ class Stand:
         return ProgramResult(**self._found[name])
 
 
-def compare(stand: Stand, path: Path, seconds: float, tolerance: float) -> list[tuple[str, ...]]:
-    """Return the rows of a program: as it is, the best of the grid, as advised."""
+@dataclass(frozen=True)
+class Case:
+    """The beginning of a program, and what is advised for it."""
+
+    file: str
+    name: str
+    program: Program
+    true: ProgramPath
+    advice: dict[str, Any]
+
+
+def prepared(stand: Stand, path: Path, seconds: float, tolerance: float) -> Case:
+    """Return the beginning of a program with what is advised."""
     program = beginning(path, seconds)
     if all(mode == PathMode() for _, mode in path_modes(program.blocks)):
         program = read_program(program_with_mode(program.text, OWN_MODE))
-    moves = program_moves(program.blocks)
-    true = ProgramPath(moves)
     name = f'{path.name}, {seconds:g} s, {1e6 * tolerance:g} um'
+    true = ProgramPath(program_moves(program.blocks))
     chosen = stand.advice(name, lambda: advised(program, tolerance))
+    return Case(path.name, name, program, true, chosen)
+
+
+def compare(stand: Stand, case: Case, tolerance: float) -> list[tuple[str, ...]]:
+    """Return the rows of a program: as it is, the grid at the advised one's error, as advised."""
+    program, true, name, chosen = case.program, case.true, case.name, case.advice
     own = stand.run(f'{name}, as it is', program.text, true, LIMITS.acceleration[0])
     rise = chosen['acceleration']
-    best = stand.run(f'{name}, advised', chosen['program'], true, rise)
-    allowed = max(best.error, tolerance)
+    best = stand.run(f'{name}, advised', chosen['program'], true, rise, chosen['table'])
     grid = []
     for share in MODES:
         mode = PathMode(share * tolerance, share * tolerance)
@@ -137,30 +164,45 @@ def compare(stand: Stand, path: Path, seconds: float, tolerance: float) -> list[
             limit = min(factor * tolerance / MACHINE.contour_constant, LIMITS.acceleration[0])
             text = program_with_mode(program.text, mode)
             what = f'{mode.word}, {1e3 * limit:.0f} mm/s²'
-            grid.append((what, stand.run(f'{name}, {what}', text, true, limit)))
-    kept = [one for one in grid if one[1].error <= allowed]
-    rival = min(kept, key=lambda one: one[1].duration) if kept else None
-    simulated = true.run(moves, LIMITS, MACHINE)
-    rows = [row(path.name, 'as it is', own, simulated)]
-    if rival is not None:
-        what, judged = rival
-        rows.append(row('', f'best of the grid: {what}', judged, None))
+            grid.append(stand.run(f'{name}, {what}', text, true, limit))
+    simulated = ProgramResult(**chosen['judged'])
     what = f'advised: {chosen["name"]}, {1e3 * rise:.0f} mm/s², {chosen["mode"]}'
-    rows.append(row('', what, best, ProgramResult(**chosen['judged'])))
-    gain = 1.0 - best.duration / rival[1].duration if rival else inf
-    rows[-1] = (*rows[-1][:-1], f'{100.0 * gain:+.0f} %')
-    return rows
+    rival = front_at([(one.error, one.duration) for one in grid], best.error)
+    gain = f'{100.0 * (1.0 - best.duration / rival):+.0f} %' if rival < inf else 'no rival'
+    return [
+        row(case.file, 'as it is', own, None),
+        ('', 'grid at the error of the advised one', f'{rival:.2f}', f'{1e6 * best.error:.1f}',
+         *[''] * 4),
+        (*row('', what, best, simulated)[:-1], gain),
+    ]  # fmt: skip
+
+
+def front_at(runs: Sequence[tuple[float, float]], error: float) -> float:
+    """Return the least time that runs of (error, time) have at an error, interpolated.
+
+    Infinite where none leaves so little.
+    """
+    front: list[tuple[float, float]] = []
+    for one in sorted(runs):
+        if not front or one[1] < front[-1][1]:
+            front.append(one)
+    if error < front[0][0]:
+        return inf
+    return float(np.interp(error, *zip(*front, strict=True)))
 
 
 def advised(program: Program, tolerance: float) -> dict[str, Any]:
     """Return what is advised for a program."""
     settings = program_settings(FeedrateSchedulerConfig(tolerance=tolerance, blend=1e-5))
-    chosen = Adviser(program, tolerance, LIMITS, MACHINE, settings).advise('split').chosen
+    adviser = Adviser(program, tolerance, LIMITS, MACHINE, settings)
+    chosen = adviser.advise('split', adaptive=True).chosen
+    mode = chosen.mode.word if chosen.mode else "program's path mode"
     return {
         'name': chosen.name,
         'acceleration': chosen.acceleration[0],
-        'mode': chosen.mode.word if chosen.mode else "program's path mode",
+        'mode': mode if chosen.table is None else f'{ADAPTIVE_MODE.word}, M52 P1',
         'program': advised_program(program, chosen),
+        'table': '' if chosen.table is None else chosen.table.text(),
         'judged': asdict(chosen.judged),
     }
 
@@ -187,13 +229,14 @@ def main() -> int:
     parser.add_argument('--tolerance', type=float, default=20.0, help='contour error [um]')
     arguments = parser.parse_args()
     rows: list[tuple[str, ...]] = []
-    with recording() as recorder:
-        stand = Stand(arguments.json, recorder)
-        for path in sorted(arguments.programs.iterdir()):
-            try:
-                rows += compare(stand, path, arguments.seconds, 1e-6 * arguments.tolerance)
-            except (ValueError, LinuxcncError) as error:
-                print(f'{path.name}: left out: {error}', file=sys.stderr, flush=True)
+    stand, tolerance = Stand(arguments.json), 1e-6 * arguments.tolerance
+    for path in sorted(arguments.programs.iterdir()):
+        try:
+            case = prepared(stand, path, arguments.seconds, tolerance)
+            with recording() as stand.recorder:
+                rows += compare(stand, case, tolerance)
+        except (ValueError, LinuxcncError) as error:
+            print(f'{path.name}: left out: {error}', file=sys.stderr, flush=True)
     columns = (
         Column('program', numeric=False), Column('setting', numeric=False), Column('time s'),
         Column('largest error um'), Column('rms um'), Column('simulated s'),

@@ -35,6 +35,7 @@ param rw float lead = 0.001 "from a position to the effect of the share [s]";
 param rw float timeout = 0.5 "longest time between two heartbeats [s]";
 
 variable fuzzycnc_feed feed;
+variable unsigned hash;
 
 option singleton yes;
 option extra_setup yes;
@@ -50,24 +51,20 @@ RTAPI_MP_STRING(table, "file of `fuzzycnc schedule --as adaptive`");
 static fuzzycnc_feed_point *points_read;
 
 EXTRA_SETUP() {
-    unsigned id = 0;
     int count;
 
     (void)prefix;
     (void)extra_arg;
     feed.unheard = 1e9; /* nobody has spoken yet */
     if (!table[0])
-        return 0; /* no program is scheduled this way: the share is 1 */
-    count = fuzzycnc_feed_read(table, &points_read, &id);
+        return 0; /* without one the share is 1 */
+    count = fuzzycnc_feed_read(table, &points_read, &hash);
     if (!fuzzycnc_feed_take(&feed, points_read, count)) {
         rtapi_print_msg(RTAPI_MSG_ERR,
                         "fuzzycnc_feed: %s: expected a table of fuzzycnc schedule but found none; "
                         "write it again\n", table);
         return -EINVAL;
     }
-    points = count;
-    least_share = fuzzycnc_feed_least(&feed);
-    table_id = id;
     return 0;
 }
 
@@ -82,6 +79,9 @@ FUNCTION(_) {
     for (axis = 0; axis < 3; axis++)
         in.at[axis] = unit * (position(axis) - offset(axis));
     fuzzycnc_feed_set(&feed, distance_max, lead, timeout);
+    points = feed.count;
+    least_share = fuzzycnc_feed_least(&feed);
+    table_id = hash;
     share = fuzzycnc_feed_step(&feed, &in, fperiod);
     active = fuzzycnc_feed_active(&feed);
     on_path = active && fuzzycnc_feed_on_path(&feed);

@@ -292,7 +292,7 @@ static inline void fuzzycnc_feed_set(fuzzycnc_feed *feed, double close, double l
 
 static inline double fuzzycnc_feed_least(const fuzzycnc_feed *feed)
 {
-    return feed->least;
+    return feed->count ? feed->least : 1.0;
 }
 
 static inline int fuzzycnc_feed_active(const fuzzycnc_feed *feed)

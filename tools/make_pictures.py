@@ -61,7 +61,7 @@ from fuzzycnc_ros.studies.page.drawing import (  # noqa: E402
 from fuzzycnc_ros.studies.shift.learnt_days import joined, learn_days  # noqa: E402
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration, run_shift  # noqa: E402
 from fuzzycnc_ros.studies.soft.design_files import read_design  # noqa: E402
-from fuzzycnc_ros.studies.soft.design_page import design_picture  # noqa: E402
+from fuzzycnc_ros.studies.soft.design_page import design_chart  # noqa: E402
 from fuzzycnc_ros.studies.soft.rendered_photo import Camera, rendered_photo  # noqa: E402
 from fuzzycnc_ros.studies.soft.sheet_marks import marks_around  # noqa: E402
 
@@ -369,7 +369,20 @@ def design() -> str:
         assert path is not None
         found = soft.compensate(path, model, QUILT)
         runs.append(PlacedRun(points, found.commanded, found.offset))
-    return svg(design_picture(runs).figure)
+    (panel,) = design_chart(runs).panels
+    curves = panel.series
+    low, high = (edge(np.concatenate([(one.x, one.y) for one in curves], 1), axis=1)
+                 for edge in (np.nanmin, np.nanmax))  # fmt: skip
+    width, height = high - low + [10.0, 15.0]
+    figure, axes = drawing(width / 25.4, height / 25.4)
+    axes.set_position((0.0, 0.0, 1.0, 1.0))
+    axes.set_axis_off()
+    for one in curves:
+        axes.plot(one.x, one.y, color=one.colour, linewidth=one.width, label=one.name)
+    axes.set_xlim(low[0] - 5.0, low[0] - 5.0 + width)
+    axes.set_ylim(low[1] - 10.0, low[1] - 10.0 + height)
+    axes.legend(loc='lower left', ncols=3, fontsize=7.0, borderpad=0.2)
+    return svg(figure)
 
 
 PICTURES: dict[str, Callable[[], str | bytes]] = {

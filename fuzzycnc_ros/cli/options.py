@@ -69,7 +69,7 @@ def given(
     )
 
 
-def choice(text: str, words: Sequence[str], *, default: bool = True) -> Any:
+def choice(text: str, words: Sequence[str], *names: str, default: bool = True) -> Any:
     """Return an option that takes one of some words, which its help and shells name.
 
     Parameters
@@ -78,11 +78,17 @@ def choice(text: str, words: Sequence[str], *, default: bool = True) -> Any:
         Its help.
     words : sequence of str
         What it takes.
+    *names : str
+        What it is called, if not as its parameter.
     default : bool
         Whether the help shows its default.
     """
     return typer.Option(
-        metavar='|'.join(words), show_default=default, autocompletion=one_of(words), help=text
+        *names,
+        metavar='|'.join(words),
+        show_default=default,
+        autocompletion=one_of(words),
+        help=text,
     )
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
-from fuzzycnc_ros.adapters.linuxcnc.simulation import LinuxcncSimulation, exclusive
+from fuzzycnc_ros.adapters.linuxcnc.simulation import LinuxcncSimulation, exclusive, shipped
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.ros.processes import child_set_up
 
@@ -30,6 +30,7 @@ _SHARE = 0.8
 _DEPTH = 16000  # samples that HAL keeps while nobody reads them
 _DRAIN = 60.0  # their reader will not take the last ones any more [s]
 _QUIT = 20.0
+_PASSED = 0.3  # the servo thread and halui have seen what was set [s]
 
 
 class Recorder:
@@ -45,7 +46,7 @@ class Recorder:
 
     def __init__(self, machine: LinuxcncSimulation, folder: Path) -> None:
         self._machine, self._folder = machine, folder
-        self._runs = 0
+        self._runs, self._follows = 0, False
         self.halcmd('loadrt', 'sampler', f'depth={_DEPTH}', 'cfg=fff')
         self.halcmd('setp', 'sampler.0.enable', '0')
         self.halcmd('addf', 'sampler.0', 'servo-thread')
@@ -84,6 +85,34 @@ class Recorder:
         path.write_text(f'G92.1\nG54 G90 G21\n{path_mode}\nG53 G0 X0 Y0 Z0\nG4 P0.5\nM2\n')
         self._machine.run(str(path))
         self._wait(60.0)
+
+    def follow(self, table: str | None) -> None:
+        """Load the component `fuzzycnc_feed` with a table, armed; None takes it away.
+
+        Raises
+        ------
+        LinuxcncError
+            If it is not installed.
+        """
+        if self._follows:
+            self.halcmd('delf', 'fuzzycnc-feed', 'servo-thread')
+            time.sleep(_PASSED)
+            self.halcmd('unloadrt', 'fuzzycnc_feed')
+            self.halcmd('sets', 'fuzzycnc-feed-share', '1')
+        self._follows = table is not None
+        if table is None:
+            return
+        path = self._folder / 'table.feed'
+        path.write_text(table)
+        for line in shipped('fuzzycnc_feed.hal').read_text().splitlines():
+            words = line.partition('#')[0].replace('[FUZZYCNC]FEED_TABLE', str(path)).split()
+            if words:
+                self.halcmd(*words)
+        # a helper is not what is tried here
+        self.halcmd('setp', 'fuzzycnc-feed.timeout', '1e9')
+        self.halcmd('sets', 'fuzzycnc-feed-arm', '1')
+        self.halcmd('sets', 'fuzzycnc-feed-heartbeat', '1')
+        time.sleep(_PASSED)
 
     def _wait(self, timeout: float) -> None:
         end = time.monotonic() + timeout

@@ -18,6 +18,7 @@ from fuzzycnc_ros.cli.console import (
     show,
     write_json,
     write_report,
+    write_text,
 )
 from fuzzycnc_ros.cli.options import (
     PROGRAM_UNITS,
@@ -27,21 +28,25 @@ from fuzzycnc_ros.cli.options import (
     choice,
     given,
 )
+from fuzzycnc_ros.cli.programs.adaptive import FeedsAs, FeedTableFile, check_table
 from fuzzycnc_ros.cli.programs.program_files import (
     STREAM,
     check_output,
     new_program,
-    open_program,
-    program_lines,
+    read_text,
 )
-from fuzzycnc_ros.cli.programs.scheduling_machine import Machine, SchedulingMachine, read_machine
+from fuzzycnc_ros.cli.programs.scheduling_machine import (
+    Machine,
+    SchedulingMachine,
+    controller_limits,
+    read_machine,
+)
 from fuzzycnc_ros.cli.quantities import quantity
 from fuzzycnc_ros.core.units import LENGTHS
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.feedrate.gcode.blocks import Program
     from fuzzycnc_ros.core.feedrate.schedule.program_settings import ProgramSettings
-    from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
     from fuzzycnc_ros.simulation.controller.program import PathMode
     from fuzzycnc_ros.studies.programs.advice import Advice, Adviser, ProgramRemedy
     from fuzzycnc_ros.studies.programs.advice_page import AdviceFigures
@@ -92,6 +97,8 @@ def advise(
         ),
     ] = False,
     out: Annotated[OptionalPath, given('The program as recommended.', metavar='FILE')] = None,
+    as_: FeedsAs = 'words',
+    table: FeedTableFile = None,
     in_place: Annotated[
         bool, typer.Option('--in-place', help='FILE may be the program itself.')
     ] = False,
@@ -108,6 +115,10 @@ def advise(
 
         fuzzycnc advise part.ngc --machine-file mill.yaml --tolerance 20um
         fuzzycnc advise part.ngc --tolerance 20um --corners split --out best.ngc --report page.html
+        fuzzycnc advise part.ngc --tolerance 20um --as adaptive --out best.ngc --table best.feed
+
+    With --as adaptive feed shares along the path compete, which LinuxCNC follows by M52 P1 and
+    the component fuzzycnc_feed; docs/how-to/linuxcnc.md says how it is set up.
     """
     from fuzzycnc_ros.studies.programs.advice import CORNERS, Adviser, advised_program
     from fuzzycnc_ros.studies.programs.advice_page import (
@@ -129,15 +140,16 @@ def advise(
         if str(out) == STREAM:
             raise ValueError('--out: expected a file, since the table is on standard output')
         check_output(program, out, in_place)
-    given = _read(program, units)
+    check_table(as_, out, table)
+    given = read_text(program, units)
     before = _mode(blend)
     try:
         adviser = Adviser(
-            given, known.scheduler.tolerance, _limits(known), known.contouring,
+            given, known.scheduler.tolerance, controller_limits(known), known.contouring,
             _settings(known, before), before, units,
         )  # fmt: skip
         with progress_bar('trying') as tell:
-            advice = adviser.advise(corners, tell)
+            advice = adviser.advise(corners, tell, as_ == 'adaptive')
     except ValueError as error:
         raise ValueError(f'{program}: {error}') from error
     measured = None
@@ -159,24 +171,19 @@ def advise(
         say(line)
     write_json(json_file, advice_document(figures))
     if out is not None:
+        chosen = advice.remedies[figures.best]
         with new_program(out) as file:
-            file.write(advised_program(given, advice.remedies[figures.best], units))
+            file.write(advised_program(given, chosen, units))
         say(f'{out}: the program as recommended')
+        if table is not None and chosen.table is not None:
+            write_text(table, chosen.table.text())
+            say(f'{table}: its feed shares')
+        elif table is not None:
+            say(f'{table}: not written, as {chosen.name} needs no feed shares')
     if report is not None:
         _write_report(report, figures, known, notes)
     if not figures.kept:
         raise typer.Exit(1)
-
-
-def _read(program: Path, units: str) -> 'Program':
-    from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
-
-    with program_lines(program) as source, open_program(source) as file:
-        text = ''.join(file)
-    try:
-        return read_program(text, units)
-    except ValueError as error:
-        raise ValueError(f'{program}: {error}') from error
 
 
 def _mode(blend: str | None) -> 'PathMode':
@@ -187,30 +194,6 @@ def _mode(blend: str | None) -> 'PathMode':
         return PathMode(inf, 0.0)
     length = quantity('--blend', blend, LENGTHS, example='0.01mm')
     return PathMode(length, length)
-
-
-def _limits(machine: SchedulingMachine) -> 'ControllerLimits':
-    """Return the limits of the axes as LinuxCNC has them."""
-    from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
-
-    config = machine.scheduler
-    return ControllerLimits(
-        velocity=_three('axis_velocity', config.axis_velocity, config.path_velocity),
-        acceleration=_three(
-            'axis_acceleration', config.axis_acceleration, config.path_acceleration
-        ),
-        path_velocity=config.path_velocity,
-        period=machine.contouring.interpolation_period,
-    )
-
-
-def _three(name: str, values: tuple[float, ...], absent: float) -> tuple[float, float, float]:
-    """Return a limit of X, Y and Z: an axis without one has that of the path."""
-    found = [value or absent for value in values] or [absent]
-    x, y, z = (found * 3)[:3] if len(found) == 1 else (*found, *([absent] * 3))[:3]
-    if not min(x, y, z) > 0.0:
-        raise ValueError(f'{name}: expected limits above 0 but found {values}')
-    return x, y, z
 
 
 def _settings(machine: SchedulingMachine, before: 'PathMode') -> 'ProgramSettings':
@@ -235,7 +218,7 @@ def _measured(
     from fuzzycnc_ros.adapters.linuxcnc.recorder import PERIOD, recording
     from fuzzycnc_ros.studies.programs.advice import advised_program, with_lower_aims
 
-    limits, path = _limits(machine), adviser.path
+    limits, path = controller_limits(machine), adviser.path
     with progress_bar('LinuxCNC') as tell, recording() as recorder:
 
         def run(remedy: 'ProgramRemedy', number: int) -> 'ProgramResult':
@@ -243,6 +226,8 @@ def _measured(
             recorder.limit(limits.velocity, limits.acceleration)
             recorder.origin(before.word)
             recorder.limit(limits.velocity, remedy.acceleration)
+            if remedy.table is not None:
+                recorder.follow(remedy.table.text())
             text = advised_program(given, remedy, units)
             samples = recorder.run(text, SLACK * remedy.judged.duration + WAIT)
             return path.judge(path.recorded(samples, PERIOD), machine.contouring)
@@ -260,7 +245,7 @@ def _figures(
         AdviceRow(
             one.name,
             one.acceleration,
-            'as programmed' if one.mode is None else one.mode.word,
+            _mode_word(one),
             one.judged,
             None if measured is None else measured[index],
         )
@@ -268,6 +253,14 @@ def _figures(
     ]
     best = advice.best if measured is None else best_of(measured, advice.tolerance)
     return AdviceFigures(name, advice.tolerance, advice.aim, rows, best)
+
+
+def _mode_word(remedy: 'ProgramRemedy') -> str:
+    from fuzzycnc_ros.studies.programs.adaptive_feed import ADAPTIVE_MODE
+
+    if remedy.table is not None:
+        return f'{ADAPTIVE_MODE.word}, M52 P1'
+    return 'as programmed' if remedy.mode is None else remedy.mode.word
 
 
 def _notes(given: 'Program', path: 'ProgramPath') -> list[str]:

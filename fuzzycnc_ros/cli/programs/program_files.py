@@ -13,12 +13,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from io import TextIOWrapper
 from pathlib import Path
-from typing import IO
+from typing import IO, TYPE_CHECKING
 
 from fuzzycnc_ros.bags.atomic import whole_file
 from fuzzycnc_ros.cli.console import check_folder
 from fuzzycnc_ros.ros.leftovers import TemporaryFolder
 from fuzzycnc_ros.ros.streams import is_dropped
+
+if TYPE_CHECKING:
+    from fuzzycnc_ros.core.feedrate.gcode.blocks import Program
 
 STREAM = '-'
 """Name of the standard streams."""
@@ -52,6 +55,24 @@ def program_lines(path: Path) -> Iterator[Path]:
 def open_program(path: Path) -> IO[str]:
     """Open a program so that writing its lines gives back every byte."""
     return open(path, encoding='utf-8', errors='surrogateescape', newline='')
+
+
+def read_text(path: Path, units: str) -> Program:
+    """Return a program as a whole, read.
+
+    Raises
+    ------
+    ValueError
+        If there is none, or it cannot be read as one.
+    """
+    from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
+
+    with program_lines(path) as source, open_program(source) as file:
+        text = ''.join(file)
+    try:
+        return read_program(text, units)
+    except ValueError as error:
+        raise ValueError(f'{path}: {error}') from error
 
 
 def subroutine_files(program: Path) -> Callable[[str], str | None]:

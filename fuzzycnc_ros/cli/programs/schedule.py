@@ -25,6 +25,12 @@ from fuzzycnc_ros.cli.console import (
     write_report,
 )
 from fuzzycnc_ros.cli.options import PROGRAM_UNITS, OptionalText, Report, choice, given
+from fuzzycnc_ros.cli.programs.adaptive import (
+    FeedsAs,
+    FeedTableFile,
+    check_table,
+    schedule_shares,
+)
 from fuzzycnc_ros.cli.programs.program_files import (
     STREAM,
     check_output,
@@ -140,6 +146,8 @@ def schedule(
     units: Annotated[
         str, choice('Unit before the program says G20 or G21.', PROGRAM_UNITS)
     ] = 'mm',
+    as_: FeedsAs = 'words',
+    table: FeedTableFile = None,
     in_place: Annotated[
         bool, typer.Option('--in-place', help='FILE may be the program itself.')
     ] = False,
@@ -158,6 +166,9 @@ def schedule(
         fuzzycnc schedule part.ngc --tolerance 0.01mm --out part_scheduled.ngc
         fuzzycnc schedule part.ngc --tolerance 10um --blend 0.01mm --feed 12000mm/min \
             --machine params/feedrate_scheduler.yaml --out fast.ngc --report fast.html
+        fuzzycnc schedule part.ngc --tolerance 20um --as adaptive --out fast.ngc --table fast.feed
+
+    With --as adaptive feed words stay as they are; docs/how-to/linuxcnc.md has the rest.
     """
     from fuzzycnc_ros.core.feedrate.gcode.outline import outline_of
     from fuzzycnc_ros.core.feedrate.gcode.reader import ProgramReader
@@ -175,6 +186,14 @@ def schedule(
         raise ValueError(f'--units: expected mm or inch but found {units!r}')
     check_output(program, out, in_place)
     check_folder(report, json_file)
+    check_table(as_, out, table)
+    if table is not None:
+        _refuse(method=method, blend=blend, feed=feed, override=override, report=report)
+        shares = schedule_shares(program, out, table, known, units)
+        write_json(json_file, shares)
+        if not shares['kept']:
+            raise typer.Exit(1)
+        return
     with program_lines(program) as source:
         files = subroutine_files(program)
         words, trace = Words(), PathTrace()
@@ -214,6 +233,13 @@ def schedule(
             _write_report(report, stretch, figures, trace, known)
     if not figures.kept:
         raise typer.Exit(1)
+
+
+def _refuse(**options: object) -> None:
+    """Refuse options that choose feed words where there are none."""
+    for name, value in options.items():
+        if value is not None:
+            raise ValueError(f'--{name}: expected none with --as adaptive but found it; leave it')
 
 
 def _settled(

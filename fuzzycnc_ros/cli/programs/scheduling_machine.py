@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
     from fuzzycnc_ros.core.config import Config
     from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+    from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
 
     SomeConfig = TypeVar('SomeConfig', bound=Config)
 
@@ -63,6 +64,30 @@ class SchedulingMachine:
                 'simulated mill, not of your machine: name yours with --machine-file '
                 '(`fuzzycnc machine identify` measures it)'
             )
+
+
+def controller_limits(machine: SchedulingMachine) -> ControllerLimits:
+    """Return the limits of the axes as LinuxCNC has them."""
+    from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
+
+    config = machine.scheduler
+    return ControllerLimits(
+        velocity=_three('axis_velocity', config.axis_velocity, config.path_velocity),
+        acceleration=_three(
+            'axis_acceleration', config.axis_acceleration, config.path_acceleration
+        ),
+        path_velocity=config.path_velocity,
+        period=machine.contouring.interpolation_period,
+    )
+
+
+def _three(name: str, values: tuple[float, ...], absent: float) -> tuple[float, float, float]:
+    """Return a limit of X, Y and Z: an axis without one has that of the path."""
+    found = [value or absent for value in values] or [absent]
+    x, y, z = (found * 3)[:3] if len(found) == 1 else (*found, *([absent] * 3))[:3]
+    if not min(x, y, z) > 0.0:
+        raise ValueError(f'{name}: expected limits above 0 but found {values}')
+    return x, y, z
 
 
 def read_machine(file: str | None) -> SchedulingMachine:

@@ -21,6 +21,7 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.gcode.lexer import read_line
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.simulation.controller.agreement import disagreement
 from fuzzycnc_ros.simulation.controller.blends import ControllerLimits, move_limits
 from fuzzycnc_ros.simulation.controller.motion import Commanded, FeedShare
 from fuzzycnc_ros.simulation.controller.moves import merged
@@ -43,6 +44,8 @@ _CELL = 5e-5
 """Longest part of the path with a share of its own [m]."""
 _BRAKING = 0.5
 """Share of its acceleration with which LinuxCNC brakes a block that may overlap [-]."""
+_AIMS = (1.0, 0.95, 0.9)
+"""Shares of a tolerance that are aimed at, one after the other [-]."""
 _DECIMALS = 4
 """Of shares in a table, rounded down."""
 _END = (2.0, 30.0)
@@ -219,6 +222,25 @@ class AdaptiveFeed:
         most, gain = move_limits(plain, limits)
         self._own = np.minimum(plain.feed, most)[self._move]
         self._braking = 2.0 * _BRAKING * gain[self._move] * (self._end - self._begin)
+
+    @property
+    def disagreement(self) -> float:
+        """By how much LinuxCNC may exceed the simulated contour error [-]."""
+        return disagreement(self._moves.moves)
+
+    def own(self) -> ProgramResult:
+        """Judge the program in its path mode without shares."""
+        return self.path.judge(simulate(self._moves, self._limits), self._machine)
+
+    def keeping(
+        self, tolerance: float, longest: float = np.inf
+    ) -> tuple[FeedTable, ProgramResult]:
+        """Return what `table` does for the first of some aims whose shares as written keep it."""
+        for aim in _AIMS:
+            table, judged = self.table(aim * tolerance, longest)
+            if judged.error <= tolerance:
+                break
+        return table, judged
 
     def table(self, tolerance: float, longest: float = np.inf) -> tuple[FeedTable, ProgramResult]:
         """Return the shares that keep a tolerance, or leave the least error, and what they do.

@@ -31,6 +31,7 @@ from fuzzycnc_ros.simulation.controller.program import (
     turns,
     with_mode,
 )
+from fuzzycnc_ros.studies.programs.adaptive_feed import AdaptiveFeed, FeedTable
 from fuzzycnc_ros.studies.programs.path_mode_words import program_with_mode
 from fuzzycnc_ros.studies.programs.program_judge import LocalErrors, ProgramPath, ProgramResult
 from fuzzycnc_ros.studies.programs.refined_feeds import refine
@@ -86,6 +87,8 @@ class ProgramRemedy:
         On the simulated controller.
     aim : float
         Largest contour error that was looked for there [m].
+    table : FeedTable or None
+        Feed shares that the program needs besides.
     """
 
     name: str
@@ -94,6 +97,7 @@ class ProgramRemedy:
     program: str | None
     judged: ProgramResult
     aim: float
+    table: FeedTable | None = None
 
     @property
     def kept(self) -> bool:
@@ -199,7 +203,10 @@ class Adviser:
         return self._path
 
     def advise(
-        self, corners: str = 'feed', progress: Progress = lambda text, done, total: None
+        self,
+        corners: str = 'feed',
+        progress: Progress = lambda text, done, total: None,
+        adaptive: bool = False,
     ) -> Advice:
         """Return remedies and the one that is recommended.
 
@@ -210,6 +217,13 @@ class Adviser:
             tolerance too, and whether blocks may be cut for that.
         progress : callable
             Told what is tried, and how much is done.
+        adaptive : bool
+            Whether the machine has the component that follows feed shares.
+
+        Raises
+        ------
+        ValueError
+            If a choice is unknown, or the program cannot be followed.
         """
         if corners not in CORNERS:
             raise ValueError(f'corners: expected {", ".join(CORNERS)} but found {corners}')
@@ -221,6 +235,8 @@ class Adviser:
             steps.append(self._refined)
         if corners == 'split':
             steps.append(self._split)
+        if adaptive:
+            steps.append(self._adaptive)
         found: list[ProgramRemedy] = []
         for number, step in enumerate(steps):
             progress(step.__name__.strip('_').replace('_', ' '), number, len(steps))
@@ -352,6 +368,13 @@ class Adviser:
         program = read_program(text, self._units)
         check_same_path(self._program, program)
         return self._refine('blocks cut near corners, feeds refined', program)
+
+    def _adaptive(self) -> ProgramRemedy:
+        """Feed shares along the path, at all of the acceleration."""
+        search = AdaptiveFeed(self._program.text, self._limits, self._machine, self._units)
+        table, judged = search.keeping(self._aim, LOST * self._quickest)
+        remedy = self._remedy('feed shares along the path', 1.0, None, judged, table.program)
+        return replace(remedy, table=table)
 
     def _refine(self, name: str, program: Program) -> ProgramRemedy:
         """Return a program with the feeds that were found best, with the best acceleration."""
