@@ -72,7 +72,8 @@ def evaluate(
     killed goes on where it was. Figures do not depend on the number of workers.
 
     Where the band of a model holds far less than 95 % of the residuals over all bags of a
-    machine, the first lines say so, and `false_bands` of --json; `fuzzycnc evaluate` says what is far.
+    machine, the first lines say so, and `false_bands` of --json; `fuzzycnc evaluate` says what is
+    far.
 
         fuzzycnc fleet evaluate archive --model mill.json --out shop.parquet
         fuzzycnc fleet evaluate 'archive/2026-*' --model models --out shop.parquet --workers 8
