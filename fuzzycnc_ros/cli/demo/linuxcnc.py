@@ -117,7 +117,7 @@ def _linuxcnc_duty(out: Path, seed: int, progress: Steps, rate: float) -> Outcom
         title='Thermal compensation through LinuxCNC',
         summary=(
             'A duty that no model had seen. LinuxCNC cut circles and turned the spindle; that '
-            'heated a simulated mill, where what is left was measured, with the offsets that '
+            'heated a simulated mill, whose residual error was measured, with the offsets that '
             'LinuxCNC read back.'
         ),
         facts={

@@ -71,8 +71,9 @@ def evaluate(
     An unchanged bag, by size and time of change of its files, is not even read. A command that was
     killed goes on where it was. Figures do not depend on the number of workers.
 
-    Where the band of a model holds far less than 95 % of what is left, over all bags of a machine,
-    the first lines say so, and `false_bands` of --json; `fuzzycnc evaluate` says what is far.
+    Where the band of a model holds far less than 95 % of the residuals over all bags of a
+    machine, the first lines say so, and `false_bands` of --json; `fuzzycnc evaluate` says what is
+    far.
 
         fuzzycnc fleet evaluate archive --model mill.json --out shop.parquet
         fuzzycnc fleet evaluate 'archive/2026-*' --model models --out shop.parquet --workers 8

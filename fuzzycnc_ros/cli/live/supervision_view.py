@@ -134,7 +134,7 @@ class ProcessView:
                 for key, text, gone in (
                     (f'{name} silence', silence, 'heard again' if heard else ''),
                     (f'{name} lifecycle', view.lifecycle if managed else '', ''),
-                    (f'{name} error', error, 'no error any more' if heard else ''),
+                    (f'{name} error', error, 'recovered' if heard else ''),
                 ):
                     before = self._told.get(key, '')
                     # The figures of an error change all the time; what it is about does not.

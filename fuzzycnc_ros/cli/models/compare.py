@@ -143,9 +143,9 @@ def compare(
     later part is predicted from what came before. The row `default` is what `fuzzycnc train`
     would have chosen by itself, without the held-out run. What is not to be trusted is marked.
 
-    Some models are only compared: no model file holds them, and no machine runs them. They stand
-    behind the others, with a mark, and never are the best; where one leaves less, a line says so,
-    and so it does where the default leaves much more than plain least squares.
+    Some models are only compared: they cannot be saved or deployed. They are listed last, with a
+    mark, and never count as best. A line says where one of them has a smaller error, and where
+    the default has a much larger error than plain least squares.
 
     No compensation competes too: the best candidate is none where nothing beats the machine as it
     is. A channel in which the default leaves more than that is marked and named. The exit code is

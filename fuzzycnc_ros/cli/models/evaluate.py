@@ -99,11 +99,11 @@ def evaluate(
     """Compare a model's predictions with what was measured, beside plain baselines.
 
     All candidates of the model run from the bag's first sample, as they would on the machine;
-    what is left of the measured displacement is judged between --start and --end. Neither of them
-    moves the reference: temperatures and displacements stay referred to the bag's first samples.
+    the residual of the measured displacement is judged between --start and --end. They do not
+    move the reference: temperatures and displacements stay referred to the bag's first samples.
     Rows that the model was trained on prove nothing; what of them was judged is named.
 
-    The band of a model promises to hold 95 % of what is left. Where it holds so little that chance
+    The band of a model should hold 95 % of the residuals. Where it holds so little that chance
     does not explain it, the first lines and the page say so, and the exit code is 1: it holds less
     than 90 %, and with a probability of 5 % or less so many of as many independent samples as the
     run is worth (`independent` in the figures of --json) would be outside, or so large.
@@ -113,7 +113,7 @@ def evaluate(
     named. That alone leaves the exit code at 0: scripts test `worse_than_none` in the figures of
     --json, a list of channels, over all bags; `judged` has it for each.
 
-    With --probe-every a second table shows what is left if the machine is probed that often, as
+    With --probe-every a second table shows the residual if the machine is probed that often, as
     `thermal_predictor` would use the probes, beside the last probe held without any model.
 
     With --from-nothing there is no model: the weights of lagged temperatures and speeds are learnt

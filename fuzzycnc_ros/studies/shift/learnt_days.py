@@ -294,7 +294,7 @@ def days_page(days: Sequence[LearntDay], facts: Mapping[str, str]) -> Page:
                 ),
                 figures=(
                     Figure(
-                        'Error, what is known of it, and what is left',
+                        'Error, its prediction, and the residual',
                         'The area is the band of two predicted standard deviations about the '
                         'prediction. Dots are probes of the machine as it is, from which the '
                         'offsets in force are taken off by their read-back.',

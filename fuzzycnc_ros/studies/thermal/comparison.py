@@ -37,9 +37,7 @@ MARK = ' *'
 COMPARED_MARK = ' \u2020'
 """Stands behind the label of a candidate that is only compared."""
 
-COMPARED_LINE = (
-    f'{COMPARED_MARK.strip()} only compared: no model file holds it, no machine runs it'
-)
+COMPARED_LINE = f'{COMPARED_MARK.strip()} only compared: it cannot be saved or deployed'
 """Meaning of that mark."""
 
 BARS_MEAN = (

@@ -119,8 +119,8 @@ def _run_figures(run: CompensationRun) -> Iterator[Figure]:
     yield Figure(
         f'{run.name}: measured and predicted error',
         'Dots are the error without compensation. The model in use (thick) should run through '
-        'them, above all where the spindle speed changes. A curve that leaves the frame is off '
-        'by more than the frame shows.',
+        'them, above all where the spindle speed changes. Curves leaving '
+        'the plot exceed its range.',
         prediction_chart(run),
     )
     yield Figure(
@@ -154,8 +154,8 @@ def _band_text(run: CompensationRun) -> str:
         return ''
     inside = np.abs(residual[judged]) <= 2.0 * run.standard_deviation[judged]
     return (
-        f' {100.0 * inside.mean():.0f}\u00a0% of what is left lies in the band of two standard '
-        'deviations; about 95\u00a0% would, were the band exact.'
+        f' {100.0 * inside.mean():.0f}\u00a0% of the residuals are within the band of two '
+        'standard deviations; about 95\u00a0% would, were the band exact.'
     )
 
 

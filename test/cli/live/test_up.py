@@ -465,7 +465,7 @@ def test_elsewhere_only_changes_are_written():
         'mill/compensator: inactive',
         'mill/compensator: active',
         'mill/compensator: state: ramping for 1 s',
-        'mill/compensator: no error any more',
+        'mill/compensator: recovered',
         'mill/compensator: active',
     ]
 
