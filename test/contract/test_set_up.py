@@ -143,9 +143,11 @@ def test_the_wheel_holds_what_ros_looks_for(tmp_path):
         script = archive.read(names['lib/fuzzycnc_ros/compensator']).decode()
         entry_points = next(name for name in names if name.endswith('/entry_points.txt'))
         text = archive.read(entry_points).decode()
-    assert script == '#!/bin/sh\nexec "${0%/*}/../../bin/compensator" "$@"\n'
-    for name in re.findall(r'^(\w+) = ', text, re.M):
-        assert names[f'lib/fuzzycnc_ros/{name}'].external_attr >> 16 & 0o111, name
+    assert script.startswith('#!/bin/sh\n')
+    assert script.endswith('from fuzzycnc_ros.start import compensator\n\ncompensator()\n')
+    assert re.findall(r'^(\w+) = ', text, re.M) == ['fuzzycnc']
+    for path in (ROOT / 'params').glob('*.yaml'):
+        assert names[f'lib/fuzzycnc_ros/{path.stem}'].external_attr >> 16 & 0o111, path.stem
     for path in (ROOT / 'params').iterdir():
         assert f'share/fuzzycnc_ros/params/{path.name}' in names
     assert 'share/ament_index/resource_index/packages/fuzzycnc_ros' in names
