@@ -42,8 +42,8 @@ def linuxcnc_version() -> str:
     return version
 
 
-def installed_component() -> Path | None:
-    """Return where the component is installed; None if it is not.
+def installed_component(name: str = COMPONENT) -> Path | None:
+    """Return where a component is installed; None if it is not.
 
     Raises
     ------
@@ -52,21 +52,33 @@ def installed_component() -> Path | None:
     """
     text = Path(_compile('--print-modinc').strip()).read_text(encoding='utf-8')
     for folder in re.findall(r'^RTLIBDIR\s*:=\s*(\S+)', text, re.MULTILINE):
-        path = Path(folder, f'{COMPONENT}.so')
+        path = Path(folder, f'{name}.so')
         if path.exists():
             return path
     return None
 
 
-def install_component() -> None:
-    """Build the component from its source, and install it where LinuxCNC looks for it.
+def install_component(source: Path | None = None) -> None:
+    """Build a component from its source, and install it where LinuxCNC looks for it.
+
+    Parameters
+    ----------
+    source : Path, optional
+        By default that of `fuzzycnc_offset`.
 
     Raises
     ------
     LinuxcncError
         If that is not possible.
     """
-    _compile('--install', str(shipped(f'{COMPONENT}.comp')))
+    _compile('--install', str(source or shipped(f'{COMPONENT}.comp')))
+
+
+def remove_component(name: str) -> None:
+    """Remove a component from where LinuxCNC looks for it, if it is there."""
+    found = installed_component(name)
+    if found is not None:
+        found.unlink()
 
 
 def hal_text(axes: Sequence[str]) -> str:

@@ -12,9 +12,9 @@ import socket
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError, linuxcnc_runs
 from fuzzycnc_ros.adapters.linuxcnc.hal_process import HAL_FILES
@@ -48,7 +48,7 @@ TOOL_TABLE = tool.tbl
 [HAL]
 HALUI = halui
 HALFILE = machine.hal
-HALFILE = {hal}
+{hal}
 [TRAJ]
 COORDINATES = {letters}
 LINEAR_UNITS = mm
@@ -63,31 +63,76 @@ JOINTS = {joints}
 """
 AXIS = """
 [AXIS_{axis}]
-OFFSET_AV_RATIO = 0.2
-MAX_VELOCITY = 500
-MAX_ACCELERATION = 2500
-MIN_LIMIT = -200
-MAX_LIMIT = 200
+OFFSET_AV_RATIO = {offsets}
+MAX_VELOCITY = {velocity}
+MAX_ACCELERATION = {acceleration}
+MIN_LIMIT = {low}
+MAX_LIMIT = {high}
 """
 JOINT = """
 [JOINT_{joint}]
 TYPE = LINEAR
 HOME_SEQUENCE = 0
-MAX_VELOCITY = 500
-MAX_ACCELERATION = 2500
-MIN_LIMIT = -201
-MAX_LIMIT = 201
+MAX_VELOCITY = {velocity}
+MAX_ACCELERATION = {acceleration}
+MIN_LIMIT = {low}
+MAX_LIMIT = {high}
 """
-HAL = """
+LOADED = """
 loadrt [KINS]KINEMATICS
 loadrt [EMCMOT]EMCMOT servo_period_nsec=[EMCMOT]SERVO_PERIOD num_joints=[KINS]JOINTS
+"""
+THREAD = """
 addf motion-command-handler servo-thread
 addf motion-controller servo-thread
+"""
+LOOPBACKS = """
 net estop-loop iocontrol.0.user-enable-out iocontrol.0.emc-enable-in
 net tool-prep-loop iocontrol.0.tool-prepare iocontrol.0.tool-prepared
 net tool-change-loop iocontrol.0.tool-change iocontrol.0.tool-changed
 """
 JOINT_HAL = 'net J{joint} joint.{joint}.motor-pos-cmd => joint.{joint}.motor-pos-fb'
+
+
+class Limits(NamedTuple):
+    """Velocity, acceleration and travel of all axes, and what offsets take of the first two.
+
+    Joints may go a millimetre further.
+    """
+
+    velocity: float
+    """[mm/s]"""
+    acceleration: float
+    """[mm/s^2]"""
+    low: float
+    """[mm]"""
+    high: float
+    """[mm]"""
+    offsets: float = 0.0
+    """Share [-], see `OFFSET_AV_RATIO`."""
+
+
+def ini_text(letters: str, hal: Sequence[str], limits: Limits) -> str:
+    """Return a configuration of axes that are alike.
+
+    Parameters
+    ----------
+    letters : str
+        Axis of each joint.
+    hal : sequence of str
+        HAL files behind `machine.hal`.
+    limits : Limits
+        What axes and joints are allowed.
+    """
+    files = '\n'.join(f'HALFILE = {name}' for name in hal)
+    axis, joint = limits._asdict(), limits._replace(low=limits.low - 1, high=limits.high + 1)
+    return '\n'.join(
+        [
+            INI.format(hal=files, letters=letters, joints=len(letters)),
+            *(AXIS.format(axis=letter, **axis) for letter in dict.fromkeys(letters)),
+            *(JOINT.format(joint=place, **joint._asdict()) for place in range(len(letters))),
+        ]
+    )
 
 
 class LinuxcncSimulation:
@@ -229,9 +274,10 @@ class LinuxcncSimulation:
         if self._socket is not None:
             with contextlib.suppress(OSError):
                 self._socket.shutdown(socket.SHUT_RDWR)
-            self._lines.close()
+            if self._lines is not None:
+                self._lines.close()
             self._socket.close()
-            self._socket = None
+            self._socket = self._lines = None
 
     def _processes(self) -> list[int]:
         """Return the processes of this LinuxCNC: those of its session or with its environment."""
@@ -253,18 +299,21 @@ class LinuxcncSimulation:
             subprocess.run(['halrun', '-U'], capture_output=True, check=False, timeout=END_TIMEOUT)
         Path('/', 'tmp', 'linuxcnc.lock').unlink(missing_ok=True)
 
+    def _files(self) -> dict[str, str]:
+        """Return the texts of its configuration by file."""
+        lines = ['[FUZZYCNC]', *(f'{name} = {value}' for name, value in self._section.items())]
+        limits = Limits(500, 2500, -200, 200, offsets=0.2)
+        nets = [JOINT_HAL.format(joint=joint) for joint in range(len(self.letters))]
+        return {
+            'test.ini': '\n'.join([ini_text(self.letters, [self._hal], limits), *lines, '']),
+            'machine.hal': '\n'.join([LOADED, THREAD, LOOPBACKS, *nets, '']),
+            self._hal: shipped(self._hal).read_text(),
+        }
+
     def _write_files(self) -> None:
         folder = self._folder
-        lines = ['[FUZZYCNC]', *(f'{name} = {value}' for name, value in self._section.items())]
-        letters = self.letters
-        ini = INI.format(hal=self._hal, letters=letters, joints=len(letters))
-        axes = [AXIS.format(axis=axis) for axis in dict.fromkeys(letters)]
-        joints = [JOINT.format(joint=joint) for joint in range(len(letters))]
-        (folder / 'test.ini').write_text('\n'.join([ini, *lines, *axes, *joints]))
-        nets = [JOINT_HAL.format(joint=joint) for joint in range(len(letters))]
-        (folder / 'machine.hal').write_text('\n'.join([HAL, *nets, '']))
-        (folder / 'tool.tbl').write_text('')
-        shutil.copy(shipped(self._hal), folder)
+        for name, text in {**self._files(), 'tool.tbl': ''}.items():
+            (folder / name).write_text(text)
         driver = folder / 'driver'
         source = Path(__file__).with_name('operator_process.py')
         driver.write_text(f'#!/bin/sh\nexec {PYTHON} -I {source} "$@"\n')

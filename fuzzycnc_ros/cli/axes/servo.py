@@ -13,6 +13,7 @@ from fuzzycnc_ros.cli.axes.servo_axis import (
     AXES,
     CHOICES,
     DEFAULT,
+    FOR_ANY_AXIS,
     TUNABLE,
     Axis,
     Out,
@@ -78,6 +79,9 @@ SEARCHED = (
     'disturbance',
 )
 """Settings that `servo tune` searches; those after the first three are of the rules' universes."""
+
+EXPORTS = ('c', 'hal', 'plant')
+"""Forms of what `servo export` writes."""
 
 MachineAxis = Annotated[
     str, typer.Option(metavar='NAME', show_default=False, help='Axis of the machine file.')
@@ -445,20 +449,26 @@ def _unsettled(settings: 'ServoSettings', with_rules: Callable[['RuleTable'], An
 
 def export(
     machine_file: Annotated[str, typer.Option(metavar='FILE', help='Machine file of the axis.')],
-    out: Annotated[Path, typer.Option(metavar='FILE.c', help='File to write.')],
+    out: Annotated[Path, typer.Option(metavar='FILE', help='File to write.')],
     axis: MachineAxis = '',
-    to: Annotated[str, choice('Language of the file.', ('c',))] = 'c',
+    to: Annotated[
+        str,
+        choice(
+            "One C99 file, a component of LinuxCNC's HAL, or one that stands for the axis itself.",
+            EXPORTS,
+        ),
+    ] = 'c',
     controller: Annotated[
         str,
         choice(
             'Controller, untuned if it is not that of the machine file.',
-            (*TUNABLE, 'linear_tangent'),
+            FOR_ANY_AXIS,
             default=False,
         ),
     ] = '',
     params: Params = None,
 ) -> None:
-    """Write the controller of an axis as one C99 file, for a control's own thread.
+    """Write the controller of an axis in C, for a control's own thread.
 
     Every duty is that of the Python controller to the last bit, if it is compiled with
     -ffp-contract=off. The file needs no library, allocates nothing and has no global state; with
@@ -466,36 +476,43 @@ def export(
 
         fuzzycnc servo export --machine-file tuned.yaml --axis X --out axis_x.c
         cc -DSELF_TEST -std=c99 -O2 -ffp-contract=off axis_x.c -lm && ./a.out
-    """
-    import hashlib
 
+    With --to hal it is the source of a component that takes the place of LinuxCNC's pid, with
+    --to plant one of the simulated axis, to try it without hardware. Their files bear the names of
+    the components; LinuxCNC's halcompile builds and installs them.
+
+        fuzzycnc servo export --machine-file tuned.yaml --to hal --out fuzzycnc_axis_x.comp
+        fuzzycnc servo export --machine-file tuned.yaml --to plant --out fuzzycnc_plant_x.comp
+    """
     from fuzzycnc_ros.cli.axes.servo_machine import (
+        exported_controller,
+        exported_plant,
         machine_axis,
-        machine_controller,
         own_controller,
     )
-    from fuzzycnc_ros.studies.servo.c_export import c_controller
 
-    if to != 'c':
-        raise ValueError(f'--to: expected c but found {to!r}')
+    if to not in EXPORTS:
+        raise ValueError(f'--to: expected {", ".join(EXPORTS)} but found {to!r}')
+    if to != 'c' and out.suffix != '.comp':
+        raise ValueError(
+            f'--out: expected the name of the component with .comp, such as fuzzycnc_axis_x.comp, '
+            f'but found {out.name}'
+        )
     check_new(out)
     _, axis, data = machine_axis(machine_file, axis)
+    if to == 'plant':
+        if controller or params is not None:
+            raise ValueError('--controller, --params: expected none with --to plant')
+        write_text(out, exported_plant(machine_file, axis, data, out.stem))
+        say(f'{out}: the simulated axis {axis}; build it with halcompile --install')
+        return
     chosen = controller or own_controller(data, params)
+    name = f'axis_{axis.lower()}' if to == 'c' else out.stem
     with warnings_said():
-        made = machine_controller(data, axis, chosen, params)
-    own = Path(machine_file)
-    text = own.read_bytes() if own.exists() else machine_file.encode()
-    write_text(
-        out,
-        c_controller(
-            made,
-            name=f'axis_{axis.lower()}',
-            title=f'{chosen} of the axis {axis}',
-            source=own.name,
-            machine_hash=hashlib.sha256(text).hexdigest(),
-        ),
-    )
-    say(f'{out}: {chosen} of {axis}; compile it with -ffp-contract=off')
+        text = exported_controller(machine_file, axis, data, chosen, params, to, name)
+    write_text(out, text)
+    compiled = 'compile it with -ffp-contract=off' if to == 'c' else 'build it with halcompile'
+    say(f'{out}: {chosen} of {axis}; {compiled}')
 
 
 COMMANDS: dict[str, Callable[..., Any]] = {

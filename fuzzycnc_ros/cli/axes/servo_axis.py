@@ -35,6 +35,9 @@ CHOICES = (
 )
 """Controllers of the lathe axis; the ball screw has the first and the last alone."""
 
+FOR_ANY_AXIS = ('pid', 'cascade', 'linear_tangent', 'variable_universe')
+"""Controllers of an axis of a machine file."""
+
 DEFAULT = CHOICES[0]
 
 TUNABLE = CHOICES[:3]

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.machine.machine_data import AxisData, MachineData
     from fuzzycnc_ros.core.servo.controller import AxisController
     from fuzzycnc_ros.simulation.servo.axis_tuning import TunedController
+    from fuzzycnc_ros.studies.servo.c_text import Origin
 
 
 @dataclass(frozen=True)
@@ -110,6 +111,57 @@ def machine_controller(
             f'{params}: expected rules for the axis {axis} but found those for {settings.axis}'
         )
     return make_axis_controller(data, name, rules=settings.rules)
+
+
+def exported_controller(
+    file: str,
+    axis: str,
+    data: AxisData,
+    name: str,
+    params: Path | None,
+    to: str,
+    component: str,
+) -> str:
+    """Return a controller in C.
+
+    Parameters
+    ----------
+    file, axis, data
+        The machine file, and name and data of the axis.
+    name : str
+        The controller.
+    params : Path, optional
+        Rules that `servo learn` wrote.
+    to : {'c', 'hal'}
+        A file of its own, or a component of LinuxCNC's HAL.
+    component : str
+        Name of the component, or beginning of the names of the file.
+
+    Raises
+    ------
+    ValueError
+        If the controller cannot be exported, or the name is none of C.
+    """
+    from fuzzycnc_ros.studies.servo.c_export import c_controller, hal_controller
+
+    made = machine_controller(data, axis, name, params)
+    origin = _origin(file, axis, data, component, f'{name} of the axis {axis}')
+    return c_controller(made, origin) if to == 'c' else hal_controller(made, origin)
+
+
+def exported_plant(file: str, axis: str, data: AxisData, component: str) -> str:
+    """Return an axis as a component of LinuxCNC's HAL, of that name."""
+    from fuzzycnc_ros.studies.servo.plant_export import hal_plant
+
+    origin = _origin(file, axis, data, component, f'Simulated axis {axis}')
+    return hal_plant(data.known_plant(), origin)
+
+
+def _origin(file: str, axis: str, data: AxisData, name: str, title: str) -> Origin:
+    from fuzzycnc_ros.core.machine.machine_data import axis_hash
+    from fuzzycnc_ros.studies.servo.c_text import Origin
+
+    return Origin(name, title, Path(file).name, axis_hash(axis, data))
 
 
 def analysed_controller(

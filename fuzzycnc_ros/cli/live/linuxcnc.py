@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""`fuzzycnc linuxcnc`: what a LinuxCNC needs for offsets, installed and checked."""
+"""`fuzzycnc linuxcnc`: what a LinuxCNC needs for offsets and controllers of its axes."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -8,12 +8,16 @@ from typing import Annotated, Any
 
 import typer
 
+from fuzzycnc_ros.cli.axes.servo_axis import FOR_ANY_AXIS
 from fuzzycnc_ros.cli.console import check_new, say, write_text
+from fuzzycnc_ros.cli.options import OptionalPath, OptionalText, choice, given
 
-HELP = """Install and check what a LinuxCNC needs for offsets along its axes.
+HELP = """Install and check what a LinuxCNC needs for offsets and controllers of its axes.
 
     fuzzycnc linuxcnc install mill.ini
+    fuzzycnc linuxcnc install mill.ini --machine-file tuned.yaml --axis X
     fuzzycnc linuxcnc check mill.ini
+    fuzzycnc linuxcnc drive --machine-file ballscrew --out run
 
 Installing writes among the modules of LinuxCNC: use sudo. docs/how-to/linuxcnc.md has the rest.
 """
@@ -21,15 +25,30 @@ Installing writes among the modules of LinuxCNC: use sudo. docs/how-to/linuxcnc.
 Ini = Annotated[
     Path, typer.Argument(metavar='FILE.ini', help='Configuration (INI file) of LinuxCNC.')
 ]
+Params = Annotated[OptionalPath, given('Rules as `servo learn` writes them.', metavar='FILE')]
 
 
-def install(ini: Ini) -> None:
+def install(
+    ini: Ini,
+    machine_file: Annotated[
+        OptionalText,
+        given('Machine file of an axis whose controller is installed.', metavar='FILE'),
+    ] = None,
+    axis: Annotated[str, typer.Option(metavar='NAME', show_default=False, help='The axis.')] = '',
+    params: Params = None,
+) -> None:
     """Build the realtime component, write the HAL file, show which lines the INI file lacks.
 
     The component is built by LinuxCNC's halcompile and installed among its modules, which takes
     the rights to write there (sudo). The HAL file goes beside the INI file, which stays as it is.
 
         fuzzycnc linuxcnc install ~/linuxcnc/configs/mill/mill.ini
+
+    With a machine file the controller of an axis is exported and installed instead, and the lines
+    for the INI and HAL files are shown. It gives nothing out where the machine file in use is not
+    that from which it was exported.
+
+        fuzzycnc linuxcnc install mill.ini --machine-file tuned.yaml --axis X
     """
     from fuzzycnc_ros.adapters.linuxcnc.component import (
         hal_text,
@@ -41,6 +60,21 @@ def install(ini: Ini) -> None:
     from fuzzycnc_ros.adapters.linuxcnc.hal_process import HAL_FILES
     from fuzzycnc_ros.cli.live.linuxcnc_configuration import axes_of, lacking_lines
 
+    if machine_file is not None:
+        from fuzzycnc_ros.cli.live.linuxcnc_axis import install_axis
+
+        done = install_axis(ini, machine_file, axis, params)
+        say(f'{done.component}: installed')
+        for what, lines in (
+            ('add, each to its section', done.ini),
+            ('in its HAL files', done.hal),
+        ):
+            say(f'{ini}: {what}')
+            for line in lines:
+                say(f'  {line}')
+        return
+    if axis or params is not None:
+        raise ValueError('--machine-file: expected one with --axis and --params but found none')
     axes, lacking = axes_of(ini), lacking_lines(ini)
     text, out = hal_text(axes), ini.parent / HAL_FILES[True]
     if not (out.exists() and out.read_text(errors='replace') == text):
@@ -60,20 +94,64 @@ def install(ini: Ini) -> None:
 
 
 def check(ini: Ini) -> None:
-    """Check versions, the component, the HAL file and the INI file; ends with 1 if one lacks.
+    """Check versions, components, HAL files and the INI file; ends with 1 if one lacks.
 
-    Nothing is changed; LinuxCNC may run meanwhile.
+    Nothing is changed; LinuxCNC may run meanwhile. Of an axis with a controller of its own the
+    installed component is compared with the machine file that the INI file names.
 
         fuzzycnc linuxcnc check ~/linuxcnc/configs/mill/mill.ini
     """
     from fuzzycnc_ros.cli.live import linuxcnc_configuration
+    from fuzzycnc_ros.cli.live.linuxcnc_axis import check_axes
 
+    found = list(check_axes(ini))
+    if not found or linuxcnc_configuration.has_offsets(ini):
+        found = [*linuxcnc_configuration.check(ini), *found]
     fine = True
-    for finding in linuxcnc_configuration.check(ini):
+    for finding in found:
         fine = fine and finding.fine
         say(f'{"" if finding.fine else "! "}{finding.what}: {finding.text}')
     if not fine:
         raise typer.Exit(1)
 
 
-COMMANDS: dict[str, Callable[..., Any]] = {'install': install, 'check': check}
+def drive(
+    machine_file: Annotated[str, typer.Option(metavar='FILE', help='Machine file of the axis.')],
+    out: Annotated[Path, typer.Option(metavar='BAG', help='Bag to write.')],
+    axis: Annotated[str, typer.Option(metavar='NAME', show_default=False, help='The axis.')] = '',
+    controller: Annotated[
+        str,
+        choice(
+            'Controller, untuned if it is not that of the machine file.',
+            FOR_ANY_AXIS,
+            default=False,
+        ),
+    ] = '',
+    params: Params = None,
+    program: Annotated[
+        OptionalPath, given('Part program of X in mm; by default ways of its own.', metavar='FILE')
+    ] = None,
+) -> None:
+    """Drive an axis in the servo thread of a LinuxCNC without hardware, and record it.
+
+    The exported controller and the simulated axis of the machine file are built and loaded as
+    components; LinuxCNC runs a part program, and every period is written into a bag. A replay
+    repeats it with the controller in Python: the duties are the same to the last bit. The axis is
+    LinuxCNC's X whatever its name. It takes a quarter of a minute and the rights to install
+    components (sudo), and no LinuxCNC may run meanwhile.
+
+        fuzzycnc linuxcnc drive --machine-file ballscrew --out run
+        fuzzycnc replay run
+    """
+    from fuzzycnc_ros.cli.live.linuxcnc_axis import drive_axis
+
+    check_new(out)
+    text = program.read_text() if program is not None else None
+    done = drive_axis(machine_file, axis, controller, params, text, out)
+    say(
+        f'{out}: {done.controller} in LinuxCNC; following error '
+        f'{1e6 * done.largest:.2f} um at most, {1e6 * done.rms:.2f} um rms'
+    )
+
+
+COMMANDS: dict[str, Callable[..., Any]] = {'install': install, 'check': check, 'drive': drive}

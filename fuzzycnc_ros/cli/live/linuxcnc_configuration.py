@@ -44,6 +44,23 @@ def axes_of(ini: Path) -> tuple[str, ...]:
     return axes
 
 
+def joint_of(ini: Path, axis: str) -> int:
+    """Return the joint of an axis.
+
+    Raises
+    ------
+    ValueError
+        If the file is no configuration of LinuxCNC, or has no such axis, or two joints of it.
+    """
+    word = read_sections(ini).get('TRAJ', {}).get('COORDINATES', ('', 0))[0].upper()
+    letters = word.replace(' ', '')
+    if letters.count(axis) != 1:
+        raise ValueError(
+            f'{ini}: expected {axis} once as COORDINATES in [TRAJ] but found {word or "none"}'
+        )
+    return letters.index(axis)
+
+
 def lacking_lines(ini: Path) -> list[str]:
     """Return the lines that a configuration lacks, each after its section.
 
@@ -64,9 +81,14 @@ def lacking_lines(ini: Path) -> list[str]:
                 continue
             names = [f'AXIS_{axis}' for axis in axes_of(ini)] if axis == 'X' else [section]
             lines += [f'[{n}]{name} = {value}' for n in names if name not in have.get(n, {})]
-    if HAL_FILES[True] not in _hal_files(ini):
+    if HAL_FILES[True] not in hal_files(ini):
         lines.insert(0, f'[HAL]HALFILE = {HAL_FILES[True]}')
     return lines
+
+
+def has_offsets(ini: Path) -> bool:
+    """Return whether a configuration loads one of the HAL files for offsets."""
+    return not set(HAL_FILES).isdisjoint(hal_files(ini))
 
 
 def check(ini: Path) -> Iterator[Finding]:
@@ -94,7 +116,7 @@ def check(ini: Path) -> Iterator[Finding]:
         yield Finding('HAL file', False, f'{written} is not that for {", ".join(axes_of(ini))}')
     else:
         yield Finding('HAL file', True, str(written))
-    files = _hal_files(ini)
+    files = hal_files(ini)
     if HAL_FILES[True] in files and HAL_FILES[False] in files:
         yield Finding('INI file', False, f'loads {" and ".join(HAL_FILES)}: remove the first')
     lacking = lacking_lines(ini)
@@ -107,7 +129,7 @@ def check(ini: Path) -> Iterator[Finding]:
         yield Finding(f'travel {axis}', not missing, text if missing else ends)
 
 
-def _hal_files(ini: Path) -> list[str]:
+def hal_files(ini: Path) -> list[str]:
     """Return the names of all HAL files that a configuration loads."""
     found = re.findall(
         r'^\s*HALFILE\s*=\s*(\S+)', ini.read_text(errors='replace'), re.MULTILINE | re.IGNORECASE

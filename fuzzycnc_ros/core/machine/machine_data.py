@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
+from hashlib import sha256
 from itertools import combinations
 from types import MappingProxyType
 from typing import Any
@@ -275,6 +276,15 @@ def axis_texts(axes: Mapping[str, AxisData]) -> tuple[str, ...]:
     return tuple(
         f'{axis}:{key}:{value}' for axis, data in axes.items() for key, value in _entries(data)
     )
+
+
+def axis_hash(axis: str, data: AxisData) -> str:
+    """Return the SHA-256 of all that a machine file says of an axis, hexadecimal.
+
+    Comments, other axes and the order of entries do not count; what the file takes from a
+    LinuxCNC INI file does.
+    """
+    return sha256('\n'.join(axis_texts({axis: data})).encode()).hexdigest()
 
 
 def parse_axis_texts(name: str, texts: Iterable[str]) -> dict[str, AxisData]:

@@ -22,7 +22,7 @@ class Origin(NamedTuple):
     title, source : str
         Contents of the file, and the machine file that they come from.
     machine_hash : str
-        SHA-256 of the machine file, hexadecimal.
+        Hash of the axis as the machine file has it, hexadecimal.
     """
 
     name: str

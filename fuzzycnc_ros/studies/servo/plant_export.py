@@ -43,18 +43,23 @@ def c_plant(plant: PlantConfig, origin: Origin) -> str:
 
 def _values(plant: PlantConfig) -> dict[str, Any]:
     """Return what the templates need of an axis."""
-    lags = isinstance(plant, LatheAxisConfig)
     periodic = plant.sensor == 'encoder' and plant.periodic_error != 0.0
-    swings = isinstance(plant, BallscrewAxisConfig) and plant.mode > 0.0
+    swings: tuple[float, ...] = ()
+    if isinstance(plant, LatheAxisConfig):
+        model, own = 'lags', _lags(plant)
+    else:
+        model, own = 'mass', _mass(plant)
+        if plant.mode:
+            swings = ModalSwing(plant).numbers
     return {
-        'model': 'lags' if lags else 'mass',
+        'model': model,
         'constants': [
             *_common(plant),
-            *(_lags(plant) if lags else _mass(plant)),
+            *own,
             *(_periodic(plant) if periodic else ()),
         ],
         'periodic': periodic,
-        'swings': [number(one) for one in ModalSwing(plant).numbers] if swings else [],
+        'swings': [number(one) for one in swings],
         'noise': number(plant.noise),
         **portable_numbers(),
     }

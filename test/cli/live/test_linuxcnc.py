@@ -8,6 +8,7 @@ import re
 import pytest
 
 from fuzzycnc_ros.adapters.linuxcnc.component import hal_text
+from fuzzycnc_ros.machine_file.reader import built_in_path
 
 INI = """[HAL]
 HALFILE = own.hal
@@ -23,7 +24,9 @@ VERSION = '#!/bin/sh\necho 2.9.0~pre1+git2023\n'
 COMPILER = """#!/bin/sh
 case $1 in
 --print-modinc) echo {folder}/modinc ;;
---install) : >{folder}/fuzzycnc_offset.so ;;
+--install)
+    IFS= ; name=${{2##*/}}
+    while read -r line; do echo "$line"; done <$2 >{folder}/${{name%.comp}}.so ;;
 esac
 """
 
@@ -102,3 +105,50 @@ def test_every_axis_has_its_number():
     assert 'personality=2' in text
     assert 'net fuzzycnc-position-z axis.z.pos-cmd => fuzzycnc-offset.position-0' in text
     assert 'setp fuzzycnc-offset.max-1 [AXIS_X]MAX_LIMIT' in text
+
+
+def with_lines(ini, out, where):
+    """Add the lines that were shown for the INI file, and for a HAL file of its own."""
+    ini_lines, hal_lines = (re.findall('^  (.*)$', part, re.M) for part in out.split('HAL files'))
+    text = ''.join(line.replace(']', ']\n', 1) + '\n' for line in ini_lines)
+    ini.write_text('[HAL]\nHALFILE = own.hal\n[TRAJ]\nCOORDINATES = Y X\n' + text)
+    nets = 'net a fuzzycnc-axis-x.feedback\nnet b fuzzycnc-axis-x.output\n'
+    nets += 'net c => fuzzycnc-axis-x.command\n'
+    where.write_text('\n'.join(hal_lines) + '\n' + nets)
+
+
+def test_controller_of_an_axis_is_that_of_its_machine_file(
+    installation, ini, fuzzycnc, refused, tmp_path
+):
+    machine = tmp_path / 'own.yaml'
+    plain = built_in_path('ballscrew').read_text()
+    machine.write_text(plain)
+    words = ('linuxcnc', 'install', ini, '--machine-file', machine)
+    ini.write_text('[TRAJ]\nCOORDINATES = Y X\n')
+    done = fuzzycnc(*words)
+    assert done.code == 0, done
+    assert '[JOINT_1]FUZZYCNC_MACHINE_FILE' in done.out
+    assert 'joint.1.amp-enable-out => fuzzycnc-axis-x.enable' in done.out
+    with_lines(ini, done.out, tmp_path / 'own.hal')
+    done = fuzzycnc('linuxcnc', 'check', ini)
+    assert done.code == 0, done.out
+    # a comment changes nothing; a setting of the axis does
+    machine.write_text(plain + '# tuned in May\n')
+    assert fuzzycnc('linuxcnc', 'check', ini).code == 0
+    machine.write_text(plain.replace('bandwidth: 1.85', 'bandwidth: 1.9'))
+    done = fuzzycnc('linuxcnc', 'check', ini)
+    assert done.code == 1
+    assert 'is exported from another state of' in done.out
+    machine.write_text(plain)
+    (tmp_path / 'own.hal').write_text('net a fuzzycnc-axis-x.feedback\n')
+    done = fuzzycnc('linuxcnc', 'check', ini)
+    assert '! HAL X: no `addf fuzzycnc-axis-x servo-thread`' in done.out
+    ini.write_text(ini.read_text().replace('_HASH = 0x', '_HASH = 0xf'))
+    assert 'FUZZYCNC_MACHINE_HASH: expected 0x' in fuzzycnc('linuxcnc', 'check', ini).out
+
+
+def test_axis_that_a_configuration_lacks_is_named(installation, ini, refused):
+    words = ('linuxcnc', 'install', ini)
+    refused(*words, '--axis', 'X', naming=['--machine-file', 'expected one'])
+    ini.write_text('[TRAJ]\nCOORDINATES = Y Z\n')
+    refused(*words, '--machine-file', 'lathe', naming=['expected X once', 'Y Z'])
