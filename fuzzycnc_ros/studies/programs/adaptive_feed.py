@@ -159,21 +159,27 @@ def adaptive_program(program: str, units: str = 'mm') -> str:
     M52 P0
     M2
     """
+    for number, text in enumerate(program.splitlines(), 1):
+        if 52.0 in _codes(text, number):
+            raise ValueError(f'line {number}: expected a program without M52 but found it')
     lines = program_with_mode(program, ADAPTIVE_MODE, units).splitlines(keepends=True)
     first = next(index for index, line in enumerate(lines) if line.startswith('G64 P'))
-    end = len(lines)
-    for index in range(len(lines) - 1, -1, -1):
-        words = read_line(lines[index], index + 1).words
-        codes = [word.value for word in words if word.letter == 'M']
-        if 52.0 in codes:
-            raise ValueError(f'line {index}: expected a program without M52 but found it')
-        if lines[index].startswith('%') or any(code in _END for code in codes):
-            end = index
-    if end == len(lines) and not lines[-1].endswith('\n'):
+    end = next(
+        (
+            index
+            for index in range(first + 1, len(lines))
+            if lines[index].startswith('%') or any(code in _END for code in _codes(lines[index]))
+        ),
+        len(lines),
+    )
+    if not lines[-1].endswith('\n'):
         lines[-1] += '\n'
-    lines.insert(max(end, first + 1), 'M52 P0\n')
-    lines.insert(first, 'M52 P1\n')
-    return ''.join(lines)
+    return ''.join([*lines[:first], 'M52 P1\n', *lines[first:end], 'M52 P0\n', *lines[end:]])
+
+
+def _codes(text: str, number: int = 1) -> list[float | None]:
+    """Return the values of the M words of a line."""
+    return [word.value for word in read_line(text, number).words if word.letter == 'M']
 
 
 class AdaptiveFeed:
