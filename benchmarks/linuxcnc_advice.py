@@ -58,7 +58,7 @@ MODES = (0.5, 0.05)
 """P and Q of the grid, in shares of the tolerance [-]."""
 TIMEOUT = 300.0
 HEAD = 'G21 G90 G94 G17 G40\n'
-LEFT_OUT = re.compile(r'[mM]\s*0*(?:[0126]|30)\b(?![\d.])|[tT]\s*\d+|[sS]\s*\d+|^\s*%.*$')
+LEFT_OUT = re.compile(r'[mM]\s*0*(?:[0126]|30)\b(?![\d.])|[tTsShH]\s*\d+|[gG]43\b|^\s*%.*$')
 """Words that ask for a person, a tool or a spindle, or end the program."""
 
 

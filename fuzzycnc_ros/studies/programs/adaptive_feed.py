@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from fuzzycnc_ros.simulation.controller.motion import Commanded, FeedShare
 from fuzzycnc_ros.simulation.controller.moves import merged
 from fuzzycnc_ros.simulation.controller.program import (
     PathMode,
+    ProgramMoves,
     program_moves,
     simulate,
 )
@@ -208,7 +209,7 @@ class AdaptiveFeed:
         coordinates(program)
         self._program = adaptive_program(program, units)
         self._limits, self._machine = limits, machine
-        self._moves = program_moves(read_program(self._program, units).blocks)
+        self._moves = _cutting(program_moves(read_program(self._program, units).blocks))
         gaps = len(self._moves.runs()) - 1
         if gaps:
             raise ValueError(
@@ -306,6 +307,23 @@ class AdaptiveFeed:
         line = self._moves.line[last][move]
         # from a doubled point on it is the next motion that runs
         return FeedTable(self._program, FeedShare(place, adaptive.share[at]), point, line)
+
+
+def _cutting(moves: ProgramMoves) -> ProgramMoves:
+    """Return moves without the paths before and behind that are rapids alone.
+
+    Programs set the tool length on the way to the part.
+    """
+    first = np.flatnonzero(moves.moves.first)
+    cuts = np.flatnonzero(~moves.moves.rapid)
+    if not len(cuts):
+        return moves
+    begin = first[first <= cuts[0]][-1]
+    end = np.append(first, len(moves.moves))
+    kept = np.arange(begin, end[end > cuts[-1]][0])
+    return replace(
+        moves, moves=moves.moves.chosen(kept), line=moves.line[kept], segment=moves.segment[kept]
+    )
 
 
 def table_header(text: str) -> tuple[str, int, int]:

@@ -23,8 +23,11 @@ from fuzzycnc_ros.studies.programs.adaptive_feed import (
 )
 
 PART = """G21 G90 G17 G64 P0.02
-G54 G43 H2
-G0 X0 Y0 Z0
+G54
+G0 X-3 Y0
+G43 Z10 H2
+Z0
+G0 X0
 G1 X8 F1500
 Y6
 G3 X5 Y9 I-3 J0
@@ -72,11 +75,11 @@ def test_table_is_read_by_the_component_and_names_its_program(found, tmp_path):
     # the component finds the simulated tool where the simulated controller thinks it is
     thread = FeedThread(file)
     moves = program_moves(read_program(table.program).blocks)
-    [commanded] = simulate(moves, LIMITS, table.adaptive)
+    *_, commanded = simulate(moves, LIMITS, table.adaptive)
     thread.start(1e3 * commanded.position[0])
-    wrong = 0
+    edge, wrong = moves.moves.place[:-1, 1], 0
     for position, place in zip(commanded.position, commanded.place, strict=True):
-        line = int(moves.line[min(np.searchsorted(moves.moves.place[:, 1], place), 6)])
+        line = int(moves.line[np.searchsorted(edge, place)])
         share = thread.step(1e3 * position, line)
         wanted = np.interp(place, table.adaptive.place, table.adaptive.share)
         wrong += abs(share - wanted) > 0.1
@@ -86,9 +89,10 @@ def test_table_is_read_by_the_component_and_names_its_program(found, tmp_path):
 def test_without_shares_nothing_changes():
     moves = program_moves(read_program(PART).blocks)
     ends = np.array([0.0, moves.moves.place[-1, 1]])
-    [plain], [full] = simulate(moves, LIMITS), simulate(moves, LIMITS, FeedShare(ends, ends**0))
+    *_, plain = simulate(moves, LIMITS)
+    *_, full = simulate(moves, LIMITS, FeedShare(ends, ends**0))
     assert np.abs(plain.position - full.position).max() < 1e-12
-    [half] = simulate(moves, LIMITS, FeedShare(ends, 0.5 * ends**0))
+    *_, half = simulate(moves, LIMITS, FeedShare(ends, 0.5 * ends**0))
     assert 1.5 * plain.duration < half.duration < 2.0 * plain.duration
 
 
