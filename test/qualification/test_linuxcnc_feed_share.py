@@ -2,16 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Feed shares along the path on a real LinuxCNC: followed, and given up when they must be."""
 
+import subprocess
+import time
+
 import pytest
 
+from fuzzycnc_ros.adapters.linuxcnc import feed_process
 from fuzzycnc_ros.adapters.linuxcnc.component import FEED, install_component
 from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
 from fuzzycnc_ros.adapters.linuxcnc.recorder import PERIOD, recording
+from fuzzycnc_ros.adapters.linuxcnc.simulation import PYTHON
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
 from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
 from fuzzycnc_ros.simulation.controller.program import program_moves
-from fuzzycnc_ros.studies.programs.adaptive_feed import AdaptiveFeed
+from fuzzycnc_ros.studies.programs.adaptive_feed import NO_LENGTH, AdaptiveFeed, program_hash
 from fuzzycnc_ros.studies.programs.program_judge import ProgramPath
 
 pytestmark = pytest.mark.qualify
@@ -72,3 +77,25 @@ def test_driven_as_simulated_and_given_up_when_shifted(recorder, table):
     recorder.halcmd('sets', 'fuzzycnc-feed-arm', '0')
     recorder.origin()
     assert judged(recorder, found.program).duration < 0.95 * driven.duration
+
+
+def test_helper_arms_it_for_the_program_that_is_loaded(recorder, table):
+    found, simulated = table
+    recorder.follow(found.text())
+    for name in ('arm', 'heartbeat'):
+        recorder.halcmd('sets', f'fuzzycnc-feed-{name}', '0')
+    recorder.halcmd('setp', 'fuzzycnc-feed.timeout', '0.5')
+    words = [PYTHON, feed_process.__file__, program_hash(found.program), '0', str(NO_LENGTH)]
+    recorder.origin()
+    helper = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    try:
+        assert helper.stdout.readline().startswith('refused: ')  # another program is loaded
+        # it is armed while no program runs alone: the first run loads it
+        assert judged(recorder, found.program).duration < 0.95 * simulated.duration
+        time.sleep(1.0)
+        assert judged(recorder, found.program).error <= TOLERANCE
+    finally:
+        helper.terminate()
+        said, _ = helper.communicate(timeout=10.0)
+    assert helper.returncode == 0
+    assert said.splitlines()[-1] == 'armed'

@@ -161,9 +161,14 @@ class Helper:
             doubt = doubt or 'the coordinates have changed while the program runs'
         pins['arm'].value = not doubt
         pins['heartbeat'].value = not pins['heartbeat'].value
-        said = f'refused: {doubt}' if doubt else 'armed'
-        if not doubt and self._hal.get_value(f'{FEED}.lost'):
+        if doubt:
+            said = f'refused: {doubt}'
+        elif self._hal.get_value(f'{FEED}.lost'):
             said = 'lost: the least share of the table until the path is found or the program ends'
+        elif self._hal.get_value(f'{FEED}.active'):
+            said = 'armed'
+        else:
+            said = 'to be armed when no program runs'
         new, self._said = said if said != self._said else '', said
         return new
 

@@ -67,6 +67,7 @@ def test_changed_program_and_other_table_are_refused(state):
 def rig(state):
     """A helper on a HAL that is none; its pins by name."""
     hal, pins = MagicMock(), {}
+    values = {f'{FEED}.table-id': ID, f'{FEED}.active': True}
     hal.error = RuntimeError
     hal.component.return_value.newpin = lambda name, *_: pins.setdefault(
         name, SimpleNamespace(value=0)
@@ -75,9 +76,10 @@ def rig(state):
         {'NAME': f'{FEED}-{name}', 'DRIVER': None}
         for name in ('arm', 'heartbeat', 'offset-x', 'offset-y', 'offset-z')
     ]
-    hal.get_value.side_effect = lambda name: {f'{FEED}.table-id': ID}.get(name, 0)
+    hal.get_value.side_effect = lambda name: values.get(name, 0)
     linuxcnc = SimpleNamespace(stat=lambda: state, INTERP_IDLE=IDLE)
-    return SimpleNamespace(hal=hal, linuxcnc=linuxcnc, pins=pins, judge=Judge(HASH, 540, 3))
+    judge = Judge(HASH, 540, 3)
+    return SimpleNamespace(hal=hal, linuxcnc=linuxcnc, pins=pins, judge=judge, values=values)
 
 
 def test_helper_arms_with_the_offsets_in_force_and_beats(rig, state):
@@ -89,6 +91,10 @@ def test_helper_arms_with_the_offsets_in_force_and_beats(rig, state):
         helper.look()
         beats.append(bool(rig.pins['heartbeat'].value))
     assert beats in ([True, False] * 2, [False, True] * 2)
+    rig.values[f'{FEED}.lost'] = True
+    assert helper.look().startswith('lost: the least share')
+    rig.values.update({f'{FEED}.lost': False, f'{FEED}.active': False})
+    assert helper.look() == 'to be armed when no program runs'
     helper.close()
     assert not rig.pins['arm'].value
 
