@@ -3,7 +3,7 @@
 """`fuzzycnc advise` on real part programs and a real LinuxCNC, against a grid of own feeds.
 
 Of each program the first seconds of motion run on LinuxCNC without a screen: as advised, and with
-their own feeds under every acceleration and path mode of a grid, whose front is interpolated at
+their own feeds under every acceleration and path mode of a grid, whose front is read at
 the largest error of what is advised.  Feed shares along the path compete with the other remedies,
 so that the component `fuzzycnc_feed` must be installed (`fuzzycnc linuxcnc install --feed`).
 HAL's `sampler` records what is commanded; contour errors are those of axes that follow with the
@@ -58,7 +58,7 @@ MODES = (0.5, 0.05)
 """P and Q of the grid, in shares of the tolerance [-]."""
 TIMEOUT = 300.0
 HEAD = 'G21 G90 G94 G17 G40\n'
-LEFT_OUT = re.compile(r'[mM]\s*0*(?:[0126]|30)\b(?![\d.])|[tT]\s*\d+|[sS]\s*\d+|^\s*%.*$')
+LEFT_OUT = re.compile(r'[mM]\s*0*(?:[0126]|30)\b(?![\d.])|[tTsShH]\s*\d+|[gG]43\b|^\s*%.*$')
 """Words that ask for a person, a tool or a spindle, or end the program."""
 
 
@@ -119,7 +119,8 @@ class Stand:
             recorder.limit(LIMITS.velocity, LIMITS.acceleration)
             recorder.origin()
             recorder.limit(LIMITS.velocity, (acceleration,) * 3)
-            recorder.follow(table or None)
+            if table:
+                recorder.follow(table)
             samples = recorder.run(text, TIMEOUT)
             judged = path.judge(path.recorded(samples, PERIOD), MACHINE)
             self._found[name] = asdict(judged)

@@ -1,11 +1,13 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""The realtime component `fuzzycnc_offset`: built, installed, and its HAL file."""
+"""The realtime components `fuzzycnc_offset` and `fuzzycnc_feed`: built, installed, HAL files."""
 
+import contextlib
 import re
 import shutil
 import subprocess
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
@@ -13,10 +15,15 @@ from fuzzycnc_ros.adapters.linuxcnc.hal_process import HAL_FILES
 from fuzzycnc_ros.adapters.linuxcnc.simulation import shipped
 
 COMPONENT = 'fuzzycnc_offset'
+FEED = 'fuzzycnc_feed'
+FEED_TABLE = '[FUZZYCNC]FEED_TABLE'
+"""Table of the component of feed shares in its HAL file."""
 COMPILER = 'halcompile'
 OLDEST = (2, 9)
 """First version of LinuxCNC that has been tried."""
 TIMEOUT = 120.0
+PASSED = 0.1
+"""Time in which the servo thread has left a function that was taken from it [s]."""
 
 
 def linuxcnc_version() -> str:
@@ -98,23 +105,60 @@ def hal_text(axes: Sequence[str]) -> str:
     return '\n\n'.join([head.strip(), *written]) + '\n'
 
 
-def current_component() -> Path:
-    """Return where the component is installed, as new as its source.
+def current_component(name: str = COMPONENT) -> Path:
+    """Return where a component is installed, as new as its source.
 
     Raises
     ------
     LinuxcncError
         If it is not.
     """
-    found = installed_component()
+    found = installed_component(name)
     if found is None:
-        raise LinuxcncError(f'{COMPONENT} is not installed: fuzzycnc linuxcnc install')
-    source = shipped(f'{COMPONENT}.comp')
+        raise LinuxcncError(f'{name} is not installed: fuzzycnc linuxcnc install')
+    source = shipped(f'{name}.comp')
     if found.stat().st_mtime < max(
-        path.stat().st_mtime for path in (source, source.with_suffix('.h'))
+        path.stat().st_mtime for path in source.parent.glob(f'{name}*.[ch]*')
     ):
         raise LinuxcncError(f'{found} is older than its source: fuzzycnc linuxcnc install')
     return found
+
+
+def load_feed(halcmd: Callable[..., object], table: Path) -> None:
+    """Load the component of feed shares with a table into a LinuxCNC that runs, if need be anew.
+
+    Parameters
+    ----------
+    halcmd : callable
+        Runs `halcmd` with some words; no program may run.
+    table : Path
+        File of the table.
+
+    Raises
+    ------
+    LinuxcncError
+        If `halcmd` does not do it.
+    """
+    with contextlib.suppress(LinuxcncError):  # it is not loaded
+        halcmd('delf', 'fuzzycnc-feed', 'servo-thread')
+        time.sleep(PASSED)
+        halcmd('unloadrt', FEED)
+        halcmd('sets', 'fuzzycnc-feed-share', '1')
+    for line in shipped(f'{FEED}.hal').read_text().splitlines():
+        words = line.partition('#')[0].replace(FEED_TABLE, str(table)).split()
+        if words:
+            halcmd(*words)
+
+
+def run_halcmd(*words: str) -> str:
+    """Do something to the HAL of the LinuxCNC that runs here; return what it says.
+
+    Raises
+    ------
+    LinuxcncError
+        If it does not work.
+    """
+    return _run('halcmd', *words)
 
 
 def _compile(*words: str) -> str:

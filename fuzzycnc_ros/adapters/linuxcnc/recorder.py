@@ -15,8 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from fuzzycnc_ros.adapters.linuxcnc.component import load_feed
 from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
-from fuzzycnc_ros.adapters.linuxcnc.simulation import LinuxcncSimulation, exclusive, shipped
+from fuzzycnc_ros.adapters.linuxcnc.simulation import LinuxcncSimulation, exclusive
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.ros.processes import child_set_up
 
@@ -46,7 +47,7 @@ class Recorder:
 
     def __init__(self, machine: LinuxcncSimulation, folder: Path) -> None:
         self._machine, self._folder = machine, folder
-        self._runs, self._follows = 0, False
+        self._runs = 0
         self.halcmd('loadrt', 'sampler', f'depth={_DEPTH}', 'cfg=fff')
         self.halcmd('setp', 'sampler.0.enable', '0')
         self.halcmd('addf', 'sampler.0', 'servo-thread')
@@ -86,28 +87,17 @@ class Recorder:
         self._machine.run(str(path))
         self._wait(60.0)
 
-    def follow(self, table: str | None) -> None:
-        """Load the component `fuzzycnc_feed` with a table, armed; None takes it away.
+    def follow(self, table: str) -> None:
+        """Load the component `fuzzycnc_feed` with a table, armed.
 
         Raises
         ------
         LinuxcncError
             If it is not installed.
         """
-        if self._follows:
-            self.halcmd('delf', 'fuzzycnc-feed', 'servo-thread')
-            time.sleep(_PASSED)
-            self.halcmd('unloadrt', 'fuzzycnc_feed')
-            self.halcmd('sets', 'fuzzycnc-feed-share', '1')
-        self._follows = table is not None
-        if table is None:
-            return
         path = self._folder / 'table.feed'
         path.write_text(table)
-        for line in shipped('fuzzycnc_feed.hal').read_text().splitlines():
-            words = line.partition('#')[0].replace('[FUZZYCNC]FEED_TABLE', str(path)).split()
-            if words:
-                self.halcmd(*words)
+        load_feed(self.halcmd, path)
         # a helper is not what is tried here
         self.halcmd('setp', 'fuzzycnc-feed.timeout', '1e9')
         self.halcmd('sets', 'fuzzycnc-feed-arm', '1')

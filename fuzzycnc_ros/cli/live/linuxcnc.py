@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""`fuzzycnc linuxcnc`: what a LinuxCNC needs for offsets and controllers of its axes."""
+"""`fuzzycnc linuxcnc`: set-up of a LinuxCNC for offsets, controllers of its axes and feed shares."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -12,12 +12,13 @@ from fuzzycnc_ros.cli.axes.servo_axis import FOR_ANY_AXIS
 from fuzzycnc_ros.cli.console import check_new, say, write_text
 from fuzzycnc_ros.cli.options import OptionalPath, OptionalText, choice, given
 
-HELP = """Install and check what a LinuxCNC needs for offsets and controllers of its axes.
+HELP = """Install and check what a LinuxCNC needs for offsets, axis controllers and feed shares.
 
     fuzzycnc linuxcnc install mill.ini
     fuzzycnc linuxcnc install mill.ini --machine-file tuned.yaml --axis X
     fuzzycnc linuxcnc check mill.ini
     fuzzycnc linuxcnc drive --machine-file ballscrew --out run
+    fuzzycnc linuxcnc feed part.ngc part.feed
 
 Installing writes among the modules of LinuxCNC: use sudo. docs/how-to/linuxcnc.md has the rest.
 """
@@ -36,6 +37,9 @@ def install(
     ] = None,
     axis: Annotated[str, typer.Option(metavar='NAME', show_default=False, help='The axis.')] = '',
     params: Params = None,
+    feed: Annotated[
+        bool, typer.Option('--feed', help='What feed shares along the path need, too.')
+    ] = False,
 ) -> None:
     """Build the realtime component, write the HAL file, show which lines the INI file lacks.
 
@@ -43,6 +47,7 @@ def install(
     the rights to write there (sudo). The HAL file goes beside the INI file, which stays as it is.
 
         fuzzycnc linuxcnc install ~/linuxcnc/configs/mill/mill.ini
+        sudo fuzzycnc linuxcnc install mill.ini --feed
 
     With a machine file the controller of an axis is exported and installed instead, and the lines
     for the INI and HAL files are shown. It gives nothing out where the machine file in use is not
@@ -51,6 +56,8 @@ def install(
         fuzzycnc linuxcnc install mill.ini --machine-file tuned.yaml --axis X
     """
     from fuzzycnc_ros.adapters.linuxcnc.component import (
+        COMPONENT,
+        FEED,
         hal_text,
         install_component,
         installed_component,
@@ -58,7 +65,12 @@ def install(
     )
     from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
     from fuzzycnc_ros.adapters.linuxcnc.hal_process import HAL_FILES
-    from fuzzycnc_ros.cli.live.linuxcnc_configuration import axes_of, lacking_lines
+    from fuzzycnc_ros.adapters.linuxcnc.simulation import shipped
+    from fuzzycnc_ros.cli.live.linuxcnc_configuration import (
+        axes_of,
+        lacking_feed_lines,
+        lacking_lines,
+    )
 
     if machine_file is not None:
         from fuzzycnc_ros.cli.live.linuxcnc_axis import install_axis
@@ -76,17 +88,24 @@ def install(
     if axis or params is not None:
         raise ValueError('--machine-file: expected one with --axis and --params but found none')
     axes, lacking = axes_of(ini), lacking_lines(ini)
+    if feed:
+        lacking += lacking_feed_lines(ini)
     text, out = hal_text(axes), ini.parent / HAL_FILES[True]
     if not (out.exists() and out.read_text(errors='replace') == text):
         check_new(out, 'remove it: it is not that of these axes')
     try:
         version = linuxcnc_version()
-        install_component()
-        say(f'LinuxCNC {version}: {installed_component()}')
+        for name in (COMPONENT, FEED) if feed else (COMPONENT,):
+            install_component(shipped(f'{name}.comp'))
+            say(f'LinuxCNC {version}: {installed_component(name)}')
     except LinuxcncError as error:
         raise ValueError(str(error)) from error
     write_text(out, text)
     say(f'{out}: axes {", ".join(axes)}')
+    if feed:
+        out = ini.parent / f'{FEED}.hal'
+        write_text(out, shipped(out.name).read_text())
+        say(f'{out}: axes X, Y, Z')
     if lacking:
         say(f'{ini}: add, each to its section')
     for line in lacking:
@@ -155,3 +174,65 @@ def drive(
 
 
 COMMANDS: dict[str, Callable[..., Any]] = {'install': install, 'check': check, 'drive': drive}
+
+
+def feed(
+    program: Annotated[
+        Path, typer.Argument(metavar='PROGRAM', help='Part program that LinuxCNC has loaded.')
+    ],
+    table: Annotated[Path, typer.Argument(metavar='TABLE', help='Its feed shares.')],
+    load: Annotated[
+        bool,
+        typer.Option(
+            '--load', help='Load the table into the component first, while no program runs.'
+        ),
+    ] = False,
+    interpreter: Annotated[
+        str,
+        typer.Option(metavar='FILE', help="Python that LinuxCNC's modules are built for."),
+    ] = '/usr/bin/python3',
+) -> None:
+    """Let a running LinuxCNC follow the feed shares of a program; ends with LinuxCNC or Ctrl-C.
+
+    While the program that LinuxCNC has loaded is that of the table, and work offset, tool length,
+    rotation and cutter compensation are those that it was made for, the component fuzzycnc_feed is
+    armed; otherwise one line says why not. A program that runs while this command ends goes on
+    with the least share of the table.
+
+        fuzzycnc linuxcnc feed part.ngc part.feed
+        fuzzycnc linuxcnc feed part.ngc part.feed --load
+    """
+    import subprocess
+
+    from fuzzycnc_ros.adapters.linuxcnc import feed_process
+    from fuzzycnc_ros.adapters.linuxcnc.component import load_feed, run_halcmd
+    from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
+    from fuzzycnc_ros.studies.programs.adaptive_feed import program_hash, table_header
+
+    try:
+        known, offset, length = table_header(table.read_text(errors='replace'))
+    except ValueError as error:
+        raise ValueError(f'{table}: {error}') from error
+    found = program_hash(program.read_text(encoding='utf-8', errors='surrogateescape'))
+    if found != known:
+        raise ValueError(
+            f'{table}: expected the table of {program} ({found[:8]}) but found that of another '
+            f'program ({known[:8]}); schedule it again'
+        )
+    try:
+        if load:
+            if run_halcmd('getp', 'halui.program.is-idle').strip() != 'TRUE':
+                raise ValueError('--load: expected that no program runs but one does; wait for it')
+            load_feed(run_halcmd, table.absolute())
+    except LinuxcncError as error:
+        raise ValueError(str(error)) from error
+    words = [interpreter, str(feed_process.__file__), known, str(offset), str(length)]
+    try:
+        done = subprocess.run(words, check=False, stderr=subprocess.PIPE, text=True)
+    except OSError as error:
+        raise ValueError(f'--interpreter {interpreter}: {error}') from error
+    if done.returncode:
+        raise ValueError(done.stderr.strip().splitlines()[-1] if done.stderr else 'it ended')
+
+
+COMMANDS: dict[str, Callable[..., Any]] = {'install': install, 'check': check, 'feed': feed}

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fuzzycnc_ros.adapters.linuxcnc.component import (
+    FEED,
     current_component,
     hal_text,
     linuxcnc_version,
@@ -87,8 +88,21 @@ def lacking_lines(ini: Path) -> list[str]:
 
 
 def has_offsets(ini: Path) -> bool:
-    """Return whether a configuration loads one of the HAL files for offsets."""
-    return not set(HAL_FILES).isdisjoint(hal_files(ini))
+    """Return whether a configuration loads a HAL file for offsets or feed shares."""
+    return not {*HAL_FILES, f'{FEED}.hal'}.isdisjoint(hal_files(ini))
+
+
+def lacking_feed_lines(ini: Path) -> list[str]:
+    """Return the lines that a configuration lacks for feed shares, each after its section."""
+    have = read_sections(ini)
+    lines = []
+    if f'{FEED}.hal' not in hal_files(ini):
+        lines.append(f'[HAL]HALFILE = {FEED}.hal')
+    if 'HALUI' not in have.get('HAL', {}):
+        lines.append('[HAL]HALUI = halui')
+    if 'FEED_TABLE' not in have.get('FUZZYCNC', {}):
+        lines.append('[FUZZYCNC]FEED_TABLE = part.feed')
+    return lines
 
 
 def check(ini: Path) -> Iterator[Finding]:
@@ -104,6 +118,9 @@ def check(ini: Path) -> Iterator[Finding]:
         ('LinuxCNC', linuxcnc_version),
         ('component', current_component),
     )
+    feeds = f'{FEED}.hal' in hal_files(ini)
+    if feeds:
+        looks = (*looks, ('component of feed shares', lambda: current_component(FEED)))
     for what, look in looks:
         try:
             yield Finding(what, True, str(look()))
@@ -119,7 +136,7 @@ def check(ini: Path) -> Iterator[Finding]:
     files = hal_files(ini)
     if HAL_FILES[True] in files and HAL_FILES[False] in files:
         yield Finding('INI file', False, f'loads {" and ".join(HAL_FILES)}: remove the first')
-    lacking = lacking_lines(ini)
+    lacking = lacking_lines(ini) + (lacking_feed_lines(ini) if feeds else [])
     yield Finding('INI file', not lacking, f'lacks {"; ".join(lacking)}' if lacking else str(ini))
     for axis in axes_of(ini):
         section = sections.get(f'AXIS_{axis}', {})

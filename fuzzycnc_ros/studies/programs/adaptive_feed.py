@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from fuzzycnc_ros.simulation.controller.motion import Commanded, FeedShare
 from fuzzycnc_ros.simulation.controller.moves import merged
 from fuzzycnc_ros.simulation.controller.program import (
     PathMode,
+    ProgramMoves,
     program_moves,
     simulate,
 )
@@ -159,21 +160,27 @@ def adaptive_program(program: str, units: str = 'mm') -> str:
     M52 P0
     M2
     """
+    for number, text in enumerate(program.splitlines(), 1):
+        if 52.0 in _codes(text, number):
+            raise ValueError(f'line {number}: expected a program without M52 but found it')
     lines = program_with_mode(program, ADAPTIVE_MODE, units).splitlines(keepends=True)
     first = next(index for index, line in enumerate(lines) if line.startswith('G64 P'))
-    end = len(lines)
-    for index in range(len(lines) - 1, -1, -1):
-        words = read_line(lines[index], index + 1).words
-        codes = [word.value for word in words if word.letter == 'M']
-        if 52.0 in codes:
-            raise ValueError(f'line {index}: expected a program without M52 but found it')
-        if lines[index].startswith('%') or any(code in _END for code in codes):
-            end = index
-    if end == len(lines) and not lines[-1].endswith('\n'):
+    end = next(
+        (
+            index
+            for index in range(first + 1, len(lines))
+            if lines[index].startswith('%') or any(code in _END for code in _codes(lines[index]))
+        ),
+        len(lines),
+    )
+    if not lines[-1].endswith('\n'):
         lines[-1] += '\n'
-    lines.insert(max(end, first + 1), 'M52 P0\n')
-    lines.insert(first, 'M52 P1\n')
-    return ''.join(lines)
+    return ''.join([*lines[:first], 'M52 P1\n', *lines[first:end], 'M52 P0\n', *lines[end:]])
+
+
+def _codes(text: str, number: int = 1) -> list[float | None]:
+    """Return the values of the M words of a line."""
+    return [word.value for word in read_line(text, number).words if word.letter == 'M']
 
 
 class AdaptiveFeed:
@@ -202,7 +209,7 @@ class AdaptiveFeed:
         coordinates(program)
         self._program = adaptive_program(program, units)
         self._limits, self._machine = limits, machine
-        self._moves = program_moves(read_program(self._program, units).blocks)
+        self._moves = _cutting(program_moves(read_program(self._program, units).blocks))
         gaps = len(self._moves.runs()) - 1
         if gaps:
             raise ValueError(
@@ -302,6 +309,23 @@ class AdaptiveFeed:
         line = self._moves.line[last][move]
         # from a doubled point on it is the next motion that runs
         return FeedTable(self._program, FeedShare(place, adaptive.share[at]), point, line)
+
+
+def _cutting(moves: ProgramMoves) -> ProgramMoves:
+    """Return moves without the paths before and behind that are rapids alone.
+
+    Programs set the tool length on the way to the part.
+    """
+    first = np.flatnonzero(moves.moves.first)
+    cuts = np.flatnonzero(~moves.moves.rapid)
+    if not len(cuts):
+        return moves
+    begin = first[first <= cuts[0]][-1]
+    end = np.append(first, len(moves.moves))
+    kept = np.arange(begin, end[end > cuts[-1]][0])
+    return replace(
+        moves, moves=moves.moves.chosen(kept), line=moves.line[kept], segment=moves.segment[kept]
+    )
 
 
 def table_header(text: str) -> tuple[str, int, int]:

@@ -69,6 +69,34 @@ def test_what_it_installs_passes_its_check(installation, ini, fuzzycnc):
     assert 'travel Z: -200 to 1' in done.out
 
 
+def test_feed_shares_are_installed_and_checked_where_they_are_asked_for(
+    installation, ini, fuzzycnc
+):
+    ini.write_text(f'{INI}\n[HAL]\nHALFILE = fuzzycnc_feed.hal\n')
+    done = fuzzycnc('linuxcnc', 'check', ini)
+    assert '! component of feed shares: fuzzycnc_feed is not installed' in done.out
+    done = fuzzycnc('linuxcnc', 'install', ini, '--feed')
+    assert done.code == 0, done
+    lines = re.findall(r'^  (\[\S+\])(.*)$', done.out, re.M)
+    assert ('[FUZZYCNC]', 'FEED_TABLE = part.feed') in lines
+    assert (ini.parent / 'fuzzycnc_feed.hal').exists()
+    more = '\n'.join(f'{section}\n{line}' for section, line in lines)
+    ini.write_text(f'{ini.read_text()}{more}\n[AXIS_Z]\nMAX_LIMIT = 1\n')
+    done = fuzzycnc('linuxcnc', 'check', ini)
+    assert done.code == 0, done.out
+
+
+def test_feed_shares_of_another_program_are_refused(fuzzycnc, refused, tmp_path):
+    program, table = tmp_path / 'part.ngc', tmp_path / 'part.feed'
+    program.write_text('G1 X1 F60\n')
+    table.write_text('no table\n')
+    refused('linuxcnc', 'feed', program, table, naming=['expected a table'])
+    table.write_text(
+        f'fuzzycnc-feed 1\nprogram {"ab" * 32}\nwork-offset 0\ntool-length -1\npoints 0\n'
+    )
+    refused('linuxcnc', 'feed', program, table, naming=['that of another program (abababab)'])
+
+
 def test_what_lacks_is_named(installation, ini, fuzzycnc, refused, tmp_path):
     fuzzycnc('linuxcnc', 'install', ini)
     ini.write_text(INI + '[HAL]\nHALFILE = fuzzycnc.hal\nHALFILE = fuzzycnc_offset.hal\n')
