@@ -182,6 +182,11 @@ COMMANDS: Commands = {
         'fuzzycnc_ros.cli.soft.command',
         'Compensate patterns and designs on soft material: show, train, compensate, learn.',
     ),
+    'papers': LazyCommand(
+        'For developers',
+        'fuzzycnc_ros.cli.papers:papers',
+        'Print the figures of a paper beside those of the same method on the simulated machine.',
+    ),
     'schema': LazyCommand(
         'For developers',
         'fuzzycnc_ros.cli.schema:schema',

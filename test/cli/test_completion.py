@@ -86,6 +86,7 @@ def test_commands_are_proposed_without_loading_any(root):
         ('fuzzycnc machine ex', ['excite']),
         ('fuzzycnc machine excite x.ngc --machine-file ball', ['ballscrew']),
         ('fuzzycnc machine excite x.ngc --acc', ['--acceleration']),
+        ('fuzzycnc papers l', ['lin2021', 'long2014']),
         ('fuzzycnc schema ', ['devices', 'control', 'machine', 'broker', 'thermal-test', 'probe']),
         ('fuzzycnc operate activate comp', ['compensator']),
         ('fuzzycnc operate set compensator.off', ['compensator.offset_max=']),

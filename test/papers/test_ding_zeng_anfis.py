@@ -10,94 +10,29 @@ never seen.
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.core.thermal.fit import (
-    GreyModel,
-    LagRidge,
-    LeastSquares,
-    StaticRidge,
-    select_sensors,
-)
-from fuzzycnc_ros.core.thermal.fit.anfis import Anfis, GreyAnfis
-from fuzzycnc_ros.papers.grey import GreyVariant
+from fuzzycnc_ros.core.thermal.fit.anfis import Anfis
 from fuzzycnc_ros.simulation.thermal.duties import record_runs
+from fuzzycnc_ros.studies.published.mill_residuals import MODELS, SEEDS, MillResiduals
 
 pytestmark = pytest.mark.paper
 
 TRAINING = ('D0', 'D0b', 'T1')
-SEEDS = range(12)
 PUBLISHED = (4.8, 4.6)
-
-MODELS = {
-    'least_squares': LeastSquares,
-    'static_ridge': StaticRidge,
-    'lag_ridge': LagRidge,
-    'classical': lambda interval: GreyModel('classical', interval=interval),
-    'convolution': lambda interval: GreyVariant('convolution', interval=interval),
-    'optimised': lambda interval: GreyVariant('optimised', interval=interval),
-    'discrete': lambda interval: GreyVariant('discrete', interval=interval),
-    'stable': lambda interval: GreyModel('stable', interval=interval),
-    'anfis': Anfis,
-    'grey_anfis': GreyAnfis,
-}
 
 
 @pytest.fixture(scope='module')
 def recordings():
-    return [record_runs(seed=seed) for seed in SEEDS]
-
-
-class Judged:
-    """Models trained on some runs of each seed, every `every`-th row, and their residuals."""
-
-    def __init__(self, recordings, training, every):
-        self._every = every
-        self._training = training
-        self._seeds = [
-            (runs, select_sensors([runs[name] for name in training]).chosen) for runs in recordings
-        ]
-        self._known = {}
-
-    def samples(self, run, sensors):
-        """Rises are taken on all rows: their reference is the mean of the first minutes."""
-        rise = run.rise()[:, run.columns(sensors)]
-        return rise[:: self._every], run.displacement[:: self._every]
-
-    def all(self, name, make=None):
-        """Return residuals (seeds, 2) by run, and which fits were flagged (seeds, 2)."""
-        if name not in self._known:
-            self._known[name] = self._judge(make or MODELS[name])
-        return self._known[name]
-
-    def median(self, name, run):
-        return np.median(self.all(name)[0][run], axis=0)
-
-    def _judge(self, make):
-        residuals, flagged = {}, []
-        for runs, sensors in self._seeds:
-            parts = [self.samples(runs[name], sensors) for name in self._training]
-            rise = np.concatenate([part[0] for part in parts])
-            label = np.repeat(np.arange(len(parts)), [len(part[0]) for part in parts])
-            models = [
-                make(interval=60.0 * self._every).fit(rise, target, runs=label)
-                for target in np.concatenate([part[1] for part in parts]).T
-            ]
-            flagged.append([bool(getattr(model, 'problems_', ())) for model in models])
-            for name, run in runs.items():
-                inputs, measured = self.samples(run, sensors)
-                predicted = np.column_stack([model.predict(inputs) for model in models])
-                residual = 1e6 * np.abs(predicted - measured).max(axis=0)
-                residuals.setdefault(name, []).append(np.nan_to_num(residual, nan=np.inf))
-        return {name: np.array(rows) for name, rows in residuals.items()}, np.array(flagged)
+    return [record_runs(seed=seed) for seed in range(SEEDS)]
 
 
 @pytest.fixture(scope='module')
 def as_published(recordings):
-    return Judged(recordings, ('D0',), 10)
+    return MillResiduals(recordings, ('D0',), 10)
 
 
 @pytest.fixture(scope='module')
 def three_runs(recordings):
-    return Judged(recordings, TRAINING, 1)
+    return MillResiduals(recordings, TRAINING, 1)
 
 
 @pytest.mark.parametrize('name', sorted(set(MODELS) - {'classical', 'convolution'}))

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""`fuzzycnc linuxcnc`: set-up of a LinuxCNC for offsets, controllers of its axes and feed shares."""
+"""`fuzzycnc linuxcnc`: what a LinuxCNC needs for offsets, axis controllers and feed shares."""
 
 from collections.abc import Callable
 from pathlib import Path
