@@ -45,11 +45,12 @@ of 5 % that were moved by 3 to 10 mm it finds 96 %.
 FEW = 30
 """Samples up to which each suspect is judged by models that were found without it."""
 
-SURPRISING = 5.0
+SURPRISING = 8.0
 """Distance from what such a process and a ridge regression expect that is an outlier [-].
 
 In standard deviations of either, both of which it has to exceed: a process of so few samples is
-often wrong about its own, and a ridge regression wherever the sheet is no straight line.
+often wrong about its own, and a ridge regression wherever the sheet is no straight line.  Chosen
+on 20 samples of data seeds 400 to 423.
 """
 
 MEASURED_TO = 0.1
