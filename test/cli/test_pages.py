@@ -49,6 +49,11 @@ GIVEN = {
 LONG = {
     'docs/explanation/methods/deformation.md',
     'docs/explanation/methods/feedrate.md',
+    'docs/explanation/methods/published-feedrate.md',
+    'docs/explanation/methods/published-grey.md',
+    'docs/explanation/methods/published-hybrid-network.md',
+    'docs/explanation/methods/published-servo.md',
+    'docs/explanation/methods/published-soft-material.md',
     'docs/explanation/methods/servo.md',
     'docs/how-to/fleet.md',
     'docs/how-to/integration.md',
