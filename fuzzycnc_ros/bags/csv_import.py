@@ -362,7 +362,7 @@ def _offset_line(columns: Sequence[str], recording: _ColumnData) -> list[str]:
     if not found:
         return []
     said = ', '.join(
-        f'{columns[column]!r} at {first * 1e6:.3g} um of a range of {span * 1e6:.3g} um'
+        f'{columns[column]!r} at {first * 1e6:.3g} µm of a range of {span * 1e6:.3g} µm'
         for column, first, span in found
     )
     return [
@@ -539,13 +539,13 @@ def _check_displacements(table: CsvTable, mapping: CsvMapping, recording: _Colum
         fits = [u for u, s in LENGTH_UNITS.items() if largest * s <= DISPLACEMENT_MAX]
         best = max(fits, key=lambda unit: LENGTH_UNITS[unit], default='')
         remedy = (
-            f'in {best} the largest would be {largest * LENGTH_UNITS[best] * 1e6:.4g} um'
+            f'in {best} the largest would be {largest * LENGTH_UNITS[best] * 1e6:.4g} µm'
             if best
             else 'the column does not hold displacements'
         )
         raise CsvError(
             f'{table.place(row, channel.column)}: expected displacements up to '
-            f'{DISPLACEMENT_MAX * 1e6:g} um but found {values[row, column] * 1e6:.6g} um; '
+            f'{DISPLACEMENT_MAX * 1e6:g} µm but found {values[row, column] * 1e6:.6g} µm; '
             f'{remedy}; where the probe has an offset, import with --zero'
         )
     if not np.isfinite(values).any() or not np.isfinite(recording.temperature).any():
@@ -555,10 +555,10 @@ def _check_displacements(table: CsvTable, mapping: CsvMapping, recording: _Colum
     if rise >= WARM and moved < DISPLACEMENT_MIN:
         unit = mapping.channels[0].unit
         raise CsvError(
-            f'{table.path}: expected displacements above {DISPLACEMENT_MIN * 1e6:g} um where the '
-            f'machine warms by {rise:.3g} K but found at most {moved * 1e6:.3g} um; they are '
+            f'{table.path}: expected displacements above {DISPLACEMENT_MIN * 1e6:g} µm where the '
+            f'machine warms by {rise:.3g} K but found at most {moved * 1e6:.3g} µm; they are '
             f'not in {unit}: check the unit (in mm the largest would be '
-            f'{moved / LENGTH_UNITS[unit] * 1e3:.4g} um)'
+            f'{moved / LENGTH_UNITS[unit] * 1e3:.4g} µm)'
         )
 
 

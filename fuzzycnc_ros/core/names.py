@@ -51,6 +51,17 @@ def _spelt_out(character: str) -> str:
     return f'\\u{code:04x}' if code < 0x10000 else f'\\U{code:08x}'
 
 
+def in_counting_order(name: str) -> list[tuple[str, int]]:
+    """Return a key that sorts names as people count.
+
+    Examples
+    --------
+    >>> sorted(['t10', 't2', 't1', 'air'], key=in_counting_order)
+    ['air', 't1', 't2', 't10']
+    """
+    return [(word, int(digits or 0)) for word, digits in re.findall(r'(\D*)([0-9]{0,18})', name)]
+
+
 def repeated_names(names: Iterable[str]) -> list[str]:
     """Return the names that come more than once, sorted; a list of thousands takes no time.
 

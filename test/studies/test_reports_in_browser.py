@@ -232,6 +232,59 @@ def test_a_path_is_zoomed_by_hand_keys_and_fingers(reader, drawn):
     assert reader.complaints() == []
 
 
+SPY = """
+const words = window.words = [];
+const write = CanvasRenderingContext2D.prototype.fillText;
+CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
+  const {e, f} = this.getTransform();
+  const box = this.measureText(text);
+  const {width} = box;
+  const at = {center: -width / 2, right: -width, end: -width}[this.textAlign] ?? 0;
+  words.push({
+    text, left: x + e + at, right: x + e + at + width,
+    top: y + f - box.actualBoundingBoxAscent, bottom: y + f + box.actualBoundingBoxDescent,
+    width: this.canvas.width, height: this.canvas.height,
+  });
+  return write.apply(this, arguments);
+};
+"""
+"""Notes all words that are drawn, with their boxes [px]."""
+
+
+def test_no_word_of_a_figure_is_cut_and_names_keep_apart(reader, tmp_path):
+    limit = Rule(50.0, LIMIT, 'limit ±50 µm')
+    late = Rule(0.98, LIMIT, 'the last moment', upright=True)
+    names = Series('found', [20.0, 21.0, 22.0], AFTER, x=[0.5, 0.5, 0.51], kind='dots', text='123')
+    x = np.linspace(0.0, 1.0, 50)
+    line = Series('y', x, AFTER)
+    jerk = Series('jerk', 9e3 * np.sin(9.0 * x), AFTER)
+    panels = [
+        Panel(x, Axis('offset', 'µm', high=51.0), [line, names], rules=[limit, late]),
+        Panel(x, Axis('jerk', 'm/s³'), [jerk], share=0.2),
+    ]
+    figures = [Figure('Words', 'Some.', Chart(Axis('time', 's'), panels, height=1.7))]
+    page = tmp_path / 'words.html'
+    page.write_text(render_page(Page('Words', '', [Section('All', figures=figures)])))
+    spy = reader.driver.execute_cdp_cmd('Page.addScriptToEvaluateOnNewDocument', {'source': SPY})
+    reader.open(page, 400)
+    words = reader.run('return window.words')
+    reader.driver.execute_cdp_cmd('Page.removeScriptToEvaluateOnNewDocument', spy)
+    for word in words:
+        assert 0.0 <= word['left'] < word['right'] <= word['width'] + 1.0, word
+        assert 0.0 <= word['top'] < word['bottom'] <= word['height'] + 1.0, word
+    texts = [word['text'] for word in words]
+    assert {'limit ±50 µm', 'the last moment', '1', '2', '3'} <= set(texts)
+    assert texts.count('5000') == 1
+    one, two, three = (next(word for word in words if word['text'] == name) for name in '123')
+    for a, b in ((one, two), (two, three), (one, three)):
+        beside = a['right'] <= b['left'] or b['right'] <= a['left']
+        assert beside or a['bottom'] <= b['top'] or b['bottom'] <= a['top'], (a, b)
+    heads = reader.run("return [...document.querySelectorAll('.head')].map(p => p.textContent)")
+    assert heads == ['offset [µm]', 'jerk [m/s³]']
+    read = "return [...document.querySelectorAll('.u-legend .u-value')].map(v => v.innerText)"
+    assert not any(reader.run(read))  # where no cursor is
+
+
 @pytest.mark.slow
 def test_the_nearest_place_of_a_path_is_read(reader, drawn):
     reader.open(drawn)

@@ -160,7 +160,7 @@ def position(
     low, high = data.limits.travel_low, data.limits.travel_high
     if not (STEP_MIN <= abs(target) and low <= target <= high):
         raise ValueError(
-            f'--to: expected {1e6 * STEP_MIN:g} um or more, from {1e3 * low:g} to {1e3 * high:g} '
+            f'--to: expected {1e6 * STEP_MIN:g} µm or more, from {1e3 * low:g} to {1e3 * high:g} '
             f'mm, the travel of the axis, but found {to!r}'
         )
     length = quantity('--duration', duration, TIMES, example='3s')

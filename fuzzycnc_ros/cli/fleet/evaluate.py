@@ -145,7 +145,7 @@ def report(
 
     check_folder(out, json_file)
     condition = shop_condition(read_rows(table))
-    for shown in shop_tables(condition):
+    for shown in filter(lambda table: table.rows, shop_tables(condition)):
         show(shown)
         say('')
     write_report(out, shop_page(condition, table.name))

@@ -26,6 +26,8 @@ COMPLETE_WITHIN = 8.0
 """Wall time [s] in which every node reports, once a second, also on a busy host."""
 REFRESH = 0.5
 """Wall time [s] between two screens."""
+KEYS = 'Ctrl+C ends; fuzzycnc operate acts on the machine'
+"""Last line of the screen."""
 
 
 def watch(
@@ -65,7 +67,9 @@ def watch(
         with Live(console=console, auto_refresh=False, screen=True) as live:
             while True:
                 document = view.document(time.monotonic())
-                live.update(screen(document, console.width, console.height), refresh=True)
+                shown = screen(document, console.width, console.height - 1)
+                shown.append(f'\n{KEYS}', style='dim')
+                live.update(shown, refresh=True)
                 _listen(operator, watched, REFRESH)
 
 

@@ -25,8 +25,8 @@ _STATES = {
 }
 _LEVELS = {'ok': 'green', 'warn': 'yellow', 'error': 'red', 'stale': 'red'}
 _ALARM = 'bold white on red'
-_COLUMNS = (4, 10, 9, 7, 15, 9, 11)
-_TITLES = ('axis', 'offset um', 'limit um', 'share', 'rate um/min', 'band um', 'stable in')
+_COLUMNS = (4, 11, 11, 7, 16, 10, 11)
+_TITLES = ('axis', 'offset µm', 'limit µm', 'share', 'rate µm/min', 'band µm', 'stable in')
 
 
 def screen(view: Mapping[str, Any], width: int = WIDTH, height: int = HEIGHT) -> Text:
@@ -103,9 +103,9 @@ def _axes(view: Mapping[str, Any]) -> list[Text]:
         probe = axis['probe']
         if probe is not None:
             age = '' if probe['age'] is None else f' {_duration(probe["age"])} ago'
-            told = f'{axis["axis"]} {_micro(probe["measured"], "+.1f")} um'
+            told = f'{axis["axis"]} {_micro(probe["measured"], "+.1f")} µm'
             predicted = _micro(probe['predicted'], '+.1f') or '?'
-            probes.append(f'{told} (predicted {predicted} um){age}')
+            probes.append(f'{told} (predicted {predicted} µm){age}')
     lines.append(Text('last probe: ' + ('; '.join(probes) or 'none')))
     return lines
 
@@ -118,7 +118,7 @@ def _along(along: Mapping[str, Sequence[float | None]]) -> str:
     )
     low, high = (1e3 * (along['position'][at] or 0.0) for at in (0, -1))
     band = _micro(max(value or 0.0 for value in along['band']), '.1f')
-    return f'  from {low:.0f} to {high:.0f} mm: error {error} ±{band} um, offset {offset}'
+    return f'  from {low:.0f} to {high:.0f} mm: error {error} ±{band} µm, offset {offset}'
 
 
 def _probing(probing: Mapping[str, Any] | None) -> list[Text]:
@@ -133,7 +133,7 @@ def _probing(probing: Mapping[str, Any] | None) -> list[Text]:
     else:
         text = 'no probe due'
     changes = ', '.join(
-        f'{item["channel"]} {_micro(item["change"], "+.1f")} um' for item in probing['changes']
+        f'{item["channel"]} {_micro(item["change"], "+.1f")} µm' for item in probing['changes']
     )
     if changes:
         text += f'; the last changed {changes}'
@@ -170,7 +170,7 @@ def _model(view: Mapping[str, Any]) -> list[Text]:
     place = 'in domain' if model['in_domain'] else 'OUTSIDE of what it was trained on'
     held = ', '.join(f'{name} {_micro(left, ".1f")}' for name, left in model['held_out'].items())
     text = f'model {model["name"] or "none"}: {place if model["valid"] else model["why"]}'
-    return [Text(text + (f'; left on unseen runs {held} um' if held else ''))]
+    return [Text(text + (f'; left on unseen runs {held} µm' if held else ''))]
 
 
 def _nodes(view: Mapping[str, Any], width: int) -> list[Text]:

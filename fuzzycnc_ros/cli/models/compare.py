@@ -67,9 +67,6 @@ if TYPE_CHECKING:
 MACHINES = ('grinder',)
 """Simulated machines that a comparison may be made on."""
 
-SHOWN_EACH = 5
-"""Most held-out runs of which each gets a table with all models; report and figures have all."""
-
 NOT_WITH_MACHINE = (
     'bags',
     'interval',
@@ -207,7 +204,7 @@ def compare(
         spindle_speed=not no_speed,
         random_state=seed,
     )
-    lines = _show(comparison)
+    lines = _show(comparison, brief=report is None)
     if no_speed:
         lines.append(f'spindle speed: not used, {no_speed}')
     bridged = {run.name: bridged_gaps(run, interval) for run in runs}
@@ -325,20 +322,20 @@ def _compared(
     return Comparison(judged), bad
 
 
-def _show(comparison: 'Comparison') -> list[str]:
-    """Print all tables; return the lines that close the comparison."""
+def _show(comparison: 'Comparison', *, brief: bool) -> list[str]:
+    """Print tables, of each run only if there is one; return the lines that close them."""
     from fuzzycnc_ros.studies.thermal import comparison as shown
-    from fuzzycnc_ros.studies.thermal.many_runs import overall_table, runs_table
+    from fuzzycnc_ros.studies.thermal.many_runs import runs_table
 
     held_out = comparison.held_out
-    if len(held_out) <= SHOWN_EACH:
-        for item in held_out:
-            show(shown.held_out_table(item))
-            say(f'default: {shown.choice_text(item)}')
-            for line in shown.held_out_remarks(item):
-                remark(line)
-            for text in (*shown.refusal_lines(item), ''):
-                say(text)
+    if len(held_out) == 1:
+        (item,) = held_out
+        show(shown.held_out_table(item))
+        say(f'default: {shown.choice_text(item)}')
+        for line in shown.held_out_remarks(item):
+            remark(line)
+        for text in (*shown.refusal_lines(item), ''):
+            say(text)
     else:
         for line in (line for item in held_out for line in shown.held_out_remarks(item)):
             if line.warning:
@@ -346,9 +343,9 @@ def _show(comparison: 'Comparison') -> list[str]:
     if len(held_out) > 1:
         judged = [item.evaluation for item in held_out]
         show(runs_table(judged))
-        say('')
-        show(overall_table(judged, shown.refused_anywhere(comparison)))
-        say('')
+        choices = ((item.evaluation.run, shown.choice_text(item)) for item in held_out)
+        say(f'default: {"; ".join(f"{run}: {choice}" for run, choice in choices)}')
+        say('all models on each run: --report FILE' if brief else '')
         show(shown.pooled_table(comparison))
         for text in shown.pooled_refusal_lines(comparison):
             say(text)

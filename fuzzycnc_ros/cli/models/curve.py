@@ -79,6 +79,7 @@ def curve(
     from fuzzycnc_ros.core.thermal.fit.training_runs import check_training_runs
     from fuzzycnc_ros.studies.thermal.sensor_curve import (
         SensorCurves,
+        clusters_line,
         sensor_curve_document,
         sensor_curve_page,
         sensor_curve_table,
@@ -115,7 +116,7 @@ def curve(
     curves = SensorCurves(kept, runs[0].channel, _curves(held_out, kept, seed))
     show(sensor_curve_table(curves))
     judged = ', '.join(item.run for item in curves.held_out)
-    lines = [f'judged on {judged}, each held out; stable grey model']
+    lines = [f'judged on {judged}, each held out; stable grey model', clusters_line(curves)]
     if kept != numbers:
         lines.append(
             f'left out: {", ".join(str(n) for n in numbers if n not in kept)}, as only {usable} '

@@ -135,8 +135,8 @@ def offset_lines(runs: 'Sequence[ThermalRun]') -> list[str]:
         if found:
             column, first, span = max(found, key=lambda item: abs(item[1]) / max(item[2], 1e-9))
             said.append(
-                f'{run.name} ({run.channel[column]} at {first * 1e6:.3g} um of a range of '
-                f'{span * 1e6:.3g} um)'
+                f'{run.name} ({run.channel[column]} at {first * 1e6:.3g} µm of a range of '
+                f'{span * 1e6:.3g} µm)'
             )
     if not said:
         return []

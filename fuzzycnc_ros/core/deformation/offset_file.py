@@ -101,7 +101,7 @@ class StitchOffsets:
         if not (apart <= SAME_POINT).all():
             at = int(np.nanargmax(apart)) if np.isfinite(apart).any() else 0
             return (
-                f'offsets of other points: number {at} lies {1e6 * apart[at]:.0f} um from '
+                f'offsets of other points: number {at} lies {1e6 * apart[at]:.0f} µm from '
                 'the one they were learnt at'
             )
         return ''

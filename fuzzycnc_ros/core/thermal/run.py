@@ -595,8 +595,8 @@ def _check_values(run: ThermalRun) -> None:
     if far.any():
         row, column = np.argwhere(far)[0]
         raise ThermalDataError(
-            f'run {run.name!r}: expected displacements within +-{DISPLACEMENT_MAX * 1e6:g} um, '
-            f'but found {run.displacement[row, column] * 1e6:.6g} um in channel '
+            f'run {run.name!r}: expected displacements within +-{DISPLACEMENT_MAX * 1e6:g} µm, '
+            f'but found {run.displacement[row, column] * 1e6:.6g} µm in channel '
             f'{run.channel[column]!r} at sample {row}; check whether mm, um and m were mixed up'
         )
     if run.spindle_speed is not None:

@@ -15,11 +15,13 @@ References
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import ceil, inf, isfinite, nan
+from typing import Any
 
 import numpy as np
 from scipy.stats import binom, theilslopes
 
 from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.names import in_counting_order
 from fuzzycnc_ros.studies.fleet.results import Row
 
 CONFIDENCE = 0.95
@@ -384,5 +386,6 @@ def _by_staleness(item: ResidualHistory) -> tuple[bool, bool, float, str, str, s
     return not item.stale, not item.diverged, -ratio, item.machine, item.channel, item.model
 
 
-def _by_missing(item: MissingHistory) -> tuple[float, float, str, str]:
-    return -item.newest_missing, -float(item.missing.mean()), item.machine, item.sensor
+def _by_missing(item: MissingHistory) -> tuple[Any, ...]:
+    missing = -item.newest_missing, -float(item.missing.mean())
+    return *missing, item.machine, in_counting_order(item.sensor)

@@ -106,7 +106,8 @@ def shop_page(condition: ShopCondition, table: str) -> Page:
             ),
             Section(
                 'Bags that could not be judged',
-                tables=[unjudged],
+                texts=[] if unjudged.rows else ['All bags were judged.'],
+                tables=[unjudged] if unjudged.rows else [],
                 remarks=_cut(len(condition.unjudged)),
             ),
         ],
@@ -232,13 +233,13 @@ def _drift_table(courses: Sequence[ResidualHistory]) -> Table:
         Column('Verdict', numeric=False),
         Column('bags'),
         Column('days'),
-        Column('uncompensated', 'newest bags'),
-        Column('rmse', 'newest bags'),
-        Column('trend', f'per {MONTH:.0f} days'),
-        Column('interval', f'per {MONTH:.0f} days'),
+        Column('uncompensated [µm]', 'newest bags'),
+        Column('rmse [µm]', 'newest bags'),
+        Column('trend [µm]', f'per {MONTH:.0f} days'),
+        Column('interval [µm]', f'per {MONTH:.0f} days'),
     )
     return Table(
-        'Drift of what the model leaves [µm]',
+        'Drift of the residual error',
         columns,
         tuple(rows),
         warning=frozenset(warning),
@@ -273,11 +274,11 @@ def _stale_table(courses: Sequence[ResidualHistory]) -> Table:
         Column('Model', numeric=False),
         Column('Channel', numeric=False),
         Column('Verdict', numeric=False),
-        Column('held out µm', 'rmse'),
-        Column('newest µm', 'rmse'),
+        Column('held out [µm]', 'rmse'),
+        Column('newest [µm]', 'rmse'),
         Column('ratio', 'rmse'),
-        Column('newest %', 'in domain'),
-        Column(f'% per {MONTH:.0f} days', 'in domain'),
+        Column('newest [%]', 'in domain'),
+        Column(f'per {MONTH:.0f} days [%]', 'in domain'),
         Column('diverged'),
     )
     return Table(
@@ -312,14 +313,14 @@ def _sensor_table(sensors: Sequence[MissingHistory]) -> Table:
         Column('Sensor', numeric=False),
         Column('Verdict', numeric=False),
         Column('bags'),
-        Column('newest', 'missing'),
-        Column('all', 'missing'),
-        Column(f'per {MONTH:.0f} days', 'missing'),
-        Column('substituted'),
-        Column('bridged'),
+        Column('newest [%]', 'missing'),
+        Column('all [%]', 'missing'),
+        Column(f'per {MONTH:.0f} days [%]', 'missing'),
+        Column('substituted [%]'),
+        Column('bridged [%]'),
     )
     return Table(
-        'Share of the samples of each sensor [%]',
+        'Share of the samples of each sensor',
         columns,
         tuple(rows),
         warning=frozenset(warning),
@@ -330,8 +331,7 @@ def _sensor_table(sensors: Sequence[MissingHistory]) -> Table:
 def _unjudged_table(condition: ShopCondition) -> Table:
     columns = tuple(Column(name, numeric=False) for name in ('Machine', 'Bag', 'Reason'))
     rows = tuple((item.machine, item.bag, item.problem) for item in condition.unjudged[:SHOWN])
-    title = f'Not judged: {len(condition.unjudged)}' if rows else 'All were judged'
-    return Table(title, columns, rows)
+    return Table(f'Not judged: {len(condition.unjudged)}', columns, rows)
 
 
 def _drift_verdict(item: ResidualHistory) -> str:

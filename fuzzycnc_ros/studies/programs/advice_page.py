@@ -124,6 +124,7 @@ class AdviceFigures:
 def advice_table(figures: AdviceFigures) -> Table:
     """Return time and errors of every remedy."""
     columns = [
+        Column('No.'),
         Column('Remedy', numeric=False),
         Column('acceleration [mm/s²]'),
         Column('path mode', numeric=False),
@@ -131,12 +132,16 @@ def advice_table(figures: AdviceFigures) -> Table:
     measured = any(row.measured for row in figures.rows)
     names = ['simulated', 'LinuxCNC'] if measured else ['simulated']
     for name in names:
-        columns += [Column('time [s]', name), Column('largest [µm]', name), Column('rms', name)]
-    columns += [Column('at corners', 'largest [µm]'), Column('elsewhere', 'largest [µm]')]
+        columns += [
+            Column('time [s]', name),
+            Column('largest [µm]', name),
+            Column('rmse [µm]', name),
+        ]
+    columns += [Column('at corners [µm]', 'largest'), Column('elsewhere [µm]', 'largest')]
     rows: list[tuple[str, ...]] = []
     warning = set()
     for index, row in enumerate(figures.rows):
-        cells = [row.name, _rise(row.acceleration), row.mode]
+        cells = [str(index + 1), row.name, _rise(row.acceleration), row.mode]
         for one in (row.simulated, row.measured)[: len(names)]:
             most = figures.aim if one is row.simulated else figures.tolerance
             if one is not None and one.error > most:

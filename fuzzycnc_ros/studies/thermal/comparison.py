@@ -101,7 +101,7 @@ def residual_table(
                 competing = {
                     name: micrometres(value)
                     for name, value in values.items()
-                    if _competes(name, out) and (name == UNCOMPENSATED or value != bare)
+                    if name not in out and (name == UNCOMPENSATED or value != bare)
                 }
                 chosen = tied(competing, best_of(values, out))
             else:

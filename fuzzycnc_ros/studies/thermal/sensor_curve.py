@@ -90,6 +90,12 @@ def sensor_curve_table(curves: SensorCurves) -> Table:
     return Table(title, tuple(columns), rows, frozenset(strong))
 
 
+def clusters_line(curves: SensorCurves) -> str:
+    """Return the number of sensors with the least mean rmse over all channels, as an option."""
+    count = curves.count[int(np.argmin(curves.mean().sum(axis=1)))]
+    return f'least mean rmse: {count} sensors; fuzzycnc train --clusters {count} takes so many'
+
+
 def sensor_curve_document(curves: SensorCurves) -> dict[str, Any]:
     """Return all figures.
 

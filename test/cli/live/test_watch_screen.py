@@ -73,7 +73,7 @@ def test_the_model_is_named_with_its_domain_and_what_it_left(view):
     document = view.document(0.1)
     told = {'name': 'lag_ridge', 'valid': True, 'in_domain': True, 'held_out': {'Y': 1.62e-6}}
     for change, said in (
-        ({}, 'model lag_ridge: in domain; left on unseen runs Y 1.6 um'),
+        ({}, 'model lag_ridge: in domain; left on unseen runs Y 1.6 µm'),
         ({'in_domain': False}, 'model lag_ridge: OUTSIDE of what it was trained on; left'),
         ({'valid': False, 'why': 'no speed'}, 'model lag_ridge: no speed; left on unseen runs Y'),
         ({'name': '', 'held_out': {}}, 'model none: in domain'),
@@ -106,7 +106,7 @@ def test_it_tells_when_the_next_probe_is_due_and_why(view):
     assert 'probe due' not in screen(document, WIDTH, 200).plain
     told = {
         'due': True,
-        'reason': 'known: Z to 9 um',
+        'reason': 'known: Z to 9 µm',
         'due_in': None,
         'age': 60.0,
         'changes': [{'channel': 'Z', 'change': -1.5e-6}],
@@ -119,7 +119,7 @@ def test_it_tells_when_the_next_probe_is_due_and_why(view):
         },
     }
     text = screen({**document, 'probing': told}, WIDTH, 200).plain
-    assert 'probe due: known: Z to 9 um; the last changed Z -1.5 um' in text
+    assert 'probe due: known: Z to 9 µm; the last changed Z -1.5 µm' in text
     assert 'probing cycle: a chip' in text
     text = screen({**document, 'probing': {**told, 'due': False, 'due_in': 5400.0}}, WIDTH, 200)
     assert 'next probe due in about' in text.plain

@@ -36,6 +36,8 @@ def test_each_run_is_held_out_once(fuzzycnc, bag):
         assert over_runs['worst_rms_um'] == pytest.approx(np.max(rms, axis=0)[row])
         assert over_runs['max_um'] >= over_runs['worst_rms_um'] >= over_runs['mean_rms_um']
     assert 'judged on a, b, c, each held out' in outcome.out
+    least = 1 + int(np.argmin(np.mean(rms, axis=0)))
+    assert f'fuzzycnc train --clusters {least} takes so many' in outcome.out
     assert Path('c.html').read_text().count('class="chart"') == 1
 
 

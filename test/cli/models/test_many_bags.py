@@ -170,8 +170,7 @@ def test_compare_names_what_could_not_be_judged_and_shows_the_others(fuzzycnc, b
 
 
 @pytest.mark.slow
-def test_many_runs_are_not_shown_one_by_one(fuzzycnc, bag, monkeypatch):
-    monkeypatch.setattr('fuzzycnc_ros.cli.models.compare.SHOWN_EACH', 1)
+def test_many_runs_are_not_shown_one_by_one(fuzzycnc, bag):
     outcome = fuzzycnc('compare', bag('a'), bag('b', rows=100), '--models', 'static_ridge')
     assert outcome.code == 0, outcome
     assert 'a: residual' not in outcome.out

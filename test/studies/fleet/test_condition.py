@@ -145,6 +145,19 @@ def test_the_page_says_how_many(shop):
     assert '2026-01-05 to 2026-03-05' in text
 
 
+def test_sensors_come_in_counting_order_and_nothing_unjudged_is_no_table():
+    names = ('t10', 't2', 't1')
+    sensors = [
+        [{'sensor': name, 'missing': 0.1, 'substituted': 0.0, 'bridged': 0.0} for name in names]
+        for _ in range(60)
+    ]
+    found = shop_condition(rows_of('mill', noise(1), sensors=sensors))
+    page = shop_page(found, 'shop.parquet')
+    assert [row[1] for row in page.sections[2].tables[0].rows] == ['t1', 't2', 't10']
+    assert not page.sections[3].tables
+    assert page.sections[3].texts == ['All bags were judged.']
+
+
 def test_an_empty_table_is_refused():
     with pytest.raises(ValueError, match='expected rows'):
         shop_condition([])

@@ -73,10 +73,10 @@ def cells(table):
 
 
 def strong(table):
-    """Return the label of the best of each column."""
+    """Return the label of the best of each column; the default may be alike."""
     return {
         table.columns[column].full_heading: table.rows[row][0]
-        for row, column in sorted(table.strong)
+        for row, column in sorted(table.strong, reverse=True)
     }
 
 
@@ -352,9 +352,9 @@ def test_what_looks_equal_is_marked_alike_but_not_what_leaves_all_as_it_is():
         'default': um(2.41, 2.44),
     }
     table = residual_table('a run', CHANNEL, rows, rows)
-    assert {cell for cell in table.strong if cell[1] == 1} == {(1, 1), (2, 1)}
+    assert {cell for cell in table.strong if cell[1] == 1} == {(1, 1), (2, 1), (3, 1)}
     # of Z LagRidge is the machine without compensation, and static ridge looks as good
-    assert {cell for cell in table.strong if cell[1] == 3} == {(0, 3), (1, 3)}
+    assert {cell for cell in table.strong if cell[1] == 3} == {(0, 3), (1, 3), (3, 3)}
 
 
 def curves():
@@ -374,8 +374,13 @@ def curves():
 
 
 def test_sensor_curves_over_runs():
-    from fuzzycnc_ros.studies.thermal.sensor_curve import sensor_curve_document, sensor_curve_table
+    from fuzzycnc_ros.studies.thermal.sensor_curve import (
+        clusters_line,
+        sensor_curve_document,
+        sensor_curve_table,
+    )
 
+    assert '--clusters 1 ' in clusters_line(curves())
     table = sensor_curve_table(curves())
     assert table.rows == (
         ('1', '6.0', '7.0', '21.0', '4.0', '6.0', '18.0'),

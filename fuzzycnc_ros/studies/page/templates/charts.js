@@ -10,6 +10,7 @@
   const PIXELS = 84; // of an inch of a declared height
   const TRUE = 96 / 25.4; // pixels of a millimetre
   const CLICK = 5; // pixels that a click may move
+  const PAPER = 660; // pixels of the width of a figure on paper
   const FONT = 'px system-ui, sans-serif';
 
   const colour = name =>
@@ -105,14 +106,27 @@
 
   // What both kinds of panels share: their size, place of the cursor, axes.
   function axesOf(x, y) {
-    const marks = axis => {
+    const marks = (axis, key) => {
       const places = axis.ticks.length
         ? (low, high) => axis.ticks.filter(tick => tick >= low && tick <= high)
         : axis.scale === 'log' ? decades : null;
       if (!places) return {};
-      return {splits: (u, i, low, high) => places(low, high), filter: (u, splits) => splits};
+      // Where a scale is dense some numbers give way.
+      const apart = (u, found) => {
+        let last = Infinity;
+        return found.filter(value => {
+          const at = key === 'y' ? u.valToPos(value, 'y') : 0;
+          if (key === 'y' && Math.abs(at - last) < 11) return false;
+          last = at;
+          return true;
+        });
+      };
+      return {
+        splits: (u, i, low, high) => apart(u, places(low, high)),
+        filter: (u, splits) => splits,
+      };
     };
-    const axisOf = axis => ({
+    const axisOf = (axis, key) => ({
       stroke: colour('--muted'),
       grid: {stroke: colour('--grid'), width: 1},
       ticks: {stroke: colour('--faint'), width: 1, size: 4},
@@ -120,12 +134,12 @@
       labelFont: `12${FONT}`,
       labelSize: 18,
       values: (u, splits) => splits.map(value => (value === null ? '' : plain(value))),
-      ...marks(axis),
+      ...marks(axis, key),
     });
     return [
-      {...axisOf(x), label: x.label, size: 34},
+      {...axisOf(x, 'x'), label: x.label, size: 34},
       {
-        ...axisOf(y),
+        ...axisOf(y, 'y'),
         space: 22,
         size: (u, values) => 14 + 7 * Math.max(2, ...(values || []).map(value => value.length)),
       },
@@ -139,6 +153,9 @@
     element('span', '', head, panel.y.label);
   }
 
+  const paper = matchMedia('print');
+  const widthOf = (chart, place) => Math.max(120, paper.matches
+    ? Math.min(place.clientWidth, (PAPER + 18) / chart.columns - 18) : place.clientWidth);
   const heightOf = (chart, panel) =>
     Math.round(Math.max(PIXELS * chart.height * panel.share, 180));
 
@@ -332,7 +349,7 @@
     headOf(panel, place);
     let whole = '';
     const sizeOf = () =>
-      ({width: Math.max(place.clientWidth, 120), height: heightOf(chart, panel)});
+      ({width: widthOf(chart, place), height: heightOf(chart, panel)});
     const edges = panel.bands.flatMap(band => ['low', 'high'].map(side => ({
       label: band.name,
       stroke: 'transparent',
@@ -479,7 +496,7 @@
     const sizeOf = () => panel.true_scale
       ? {width: wanted[0] + 60, height: wanted[1] + 60}
       : {
-        width: Math.max(place.clientWidth, 120),
+        width: widthOf(chart, place),
         // On a narrow page a plane needs no more height than its places have.
         height: Math.min(heightOf(chart, panel),
           90 + Math.max(120, panel.plane * place.clientWidth * wanted[1] / wanted[0])),
@@ -699,6 +716,6 @@
   }
   draw();
   // Canvases do not follow style sheets by themselves; paper is light.
-  for (const query of ['(prefers-color-scheme: dark)', 'print'])
-    matchMedia(query).addEventListener('change', draw);
+  for (const query of [paper, matchMedia('(prefers-color-scheme: dark)')])
+    query.addEventListener('change', draw);
 })();
