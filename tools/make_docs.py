@@ -261,10 +261,10 @@ def main() -> int:
     found = fetched()
     for line in found:
         print(f'expected nothing from elsewhere but found {line}')
-    found += (hard := unreadable())
-    print(*hard, sep='\n')
+    for line in (hard := unreadable()):
+        print(line)
     print(f'{len(list(HTML.rglob("*.html")))} pages in {HTML.relative_to(ROOT)}/index.html')
-    return int(bool(failed or found))
+    return int(bool(failed or found or hard))
 
 
 if __name__ == '__main__':

@@ -79,7 +79,7 @@ def label(page: Path) -> str:
 
 
 def statements(text: str) -> list[str]:
-    """Return the shell statements of a page that call fuzzycnc; loops are one statement."""
+    """Return the shell statements of a page that call fuzzycnc or copy files; loops are one."""
     found: list[str] = []
     for language, body in re.findall(r'^```(\w*)\n(.*?)^```', text, re.M | re.S):
         if language not in ('', 'sh'):
@@ -88,7 +88,7 @@ def statements(text: str) -> list[str]:
         if re.search(r'^\$ ', joined, re.M):  # commands among what they print
             joined = '\n'.join(re.findall(r'^\$ (.*)$', joined, re.M))
         parts = re.findall(r'^for [\s\S]*?^done$|^.+$', joined, re.M)
-        ours = re.compile(r'fuzzycnc |for .*\n *fuzzycnc ')
+        ours = re.compile(r'fuzzycnc |cp |for .*\n *fuzzycnc ')
         found += [part.strip() for part in parts if ours.match(part)]
     return found
 

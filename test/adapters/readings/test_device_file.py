@@ -251,6 +251,11 @@ def test_every_file_of_the_table_is_there_and_of_its_protocol(root, read, tmp_pa
     assert {file for _, file in rows} == {
         f'sensors/{path.name}' for path in (root / 'examples' / 'sensors').glob('*')
     }
+    tables = page.partition('## What you have')[2].partition('\n## ')[0]
+    named = set(re.findall(r'[`/]([\w./-]+\.(?:yaml|csv|ini|hal))`?', tables))
+    places = [root / 'examples', root, root / 'linuxcnc']
+    assert [name for name in named if not any((p / name).exists() for p in places)] == []
+    assert {'probing/probe.yaml', 'opcua-control.yaml', 'fuzzycnc.hal'} <= named
     for protocol, file in rows:
         text = (root / 'examples' / file).read_text()
         assert len(text.splitlines()) <= 13  # three are its head
