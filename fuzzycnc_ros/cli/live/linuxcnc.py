@@ -173,9 +173,6 @@ def drive(
     )
 
 
-COMMANDS: dict[str, Callable[..., Any]] = {'install': install, 'check': check, 'drive': drive}
-
-
 def feed(
     program: Annotated[
         Path, typer.Argument(metavar='PROGRAM', help='Part program that LinuxCNC has loaded.')
@@ -235,4 +232,9 @@ def feed(
         raise ValueError(done.stderr.strip().splitlines()[-1] if done.stderr else 'it ended')
 
 
-COMMANDS: dict[str, Callable[..., Any]] = {'install': install, 'check': check, 'feed': feed}
+COMMANDS: dict[str, Callable[..., Any]] = {
+    'install': install,
+    'check': check,
+    'drive': drive,
+    'feed': feed,
+}

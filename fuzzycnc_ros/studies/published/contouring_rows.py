@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.path.curves import butterfly, infinity, trident
 from fuzzycnc_ros.core.feedrate.path.sampled_path import SampledPath
-from fuzzycnc_ros.core.feedrate.schedule.plain import Scheduler
+from fuzzycnc_ros.core.feedrate.schedule.scheduler import Scheduler
 from fuzzycnc_ros.papers.feedrate import (
     ChordErrorFeed,
     FuzzyScheduler,

@@ -11,7 +11,7 @@ import numpy as np
 
 from fuzzycnc_ros.core.servo.rule_table import published_rules
 from fuzzycnc_ros.studies.grinder.grinder_comparison import (
-    Score,
+    ResidualSize,
     compare_on_grinder,
     grinder_trials,
 )
@@ -111,7 +111,7 @@ def grey_table(tell: Tell) -> Table:
     )
 
 
-def grinder_scores(seeds: int = GRINDER_SEEDS) -> Mapping[str, list[Score]]:
+def grinder_scores(seeds: int = GRINDER_SEEDS) -> Mapping[str, list[ResidualSize]]:
     """Return the median scores of the models of [kang2007] in `GRINDER_COLUMNS`."""
     rivals = [rival for rival in RIVALS if rival.name in GRINDER_PUBLISHED]
     found = []
@@ -120,7 +120,7 @@ def grinder_scores(seeds: int = GRINDER_SEEDS) -> Mapping[str, list[Score]]:
         found.append(compare_on_grinder(seed=seed, rivals=rivals, trials=trials))
     return {
         name: [
-            Score(*np.median([
+            ResidualSize(*np.median([
                 (score.rms, score.largest)
                 for score in (one.score(GRINDER_TRIAL, name, column) for one in found)
             ], axis=0).tolist())
