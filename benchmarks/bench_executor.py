@@ -25,11 +25,11 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
-from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.cli.live.free_domain import own_domain
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.core.thermal.fit import train_model
-from fuzzycnc_ros.ros.bring_up import node_specs
+from fuzzycnc_ros.graph.bring_up import node_specs
+from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.ros.executor import LeanExecutor
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 

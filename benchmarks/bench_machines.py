@@ -34,7 +34,7 @@ from fuzzycnc_ros.cli.live.free_domain import own_domain
 from fuzzycnc_ros.cli.live.graph_processes import COMPOSED, GraphProcesses
 from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.core.thermal.fit import train_model
-from fuzzycnc_ros.ros.bring_up import THERMAL, NodeSpec
+from fuzzycnc_ros.graph.bring_up import THERMAL, NodeSpec
 from fuzzycnc_ros.ros.processes import prepare_environment, processor_time
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos, subscription_qos
 from fuzzycnc_ros.runtime.component import STREAM

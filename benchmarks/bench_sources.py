@@ -89,7 +89,7 @@ def measure(
     from rclpy.executors import SingleThreadedExecutor
 
     from fuzzycnc_ros.cli.live.graph_processes import parameter_file, ros_arguments
-    from fuzzycnc_ros.ros.bring_up import NodeSpec
+    from fuzzycnc_ros.graph.bring_up import NodeSpec
     from fuzzycnc_ros.ros.processes import processor_time
     from fuzzycnc_ros.ros.topics import message_class, subscription_qos
     from fuzzycnc_ros.runtime.component import STREAM

@@ -3,7 +3,7 @@
 """Start the graph of one machine or several, as `fuzzycnc up` does; Ctrl-C takes it down.
 
 Which nodes, with which parameters, and what becomes of those that end: both follow
-`fuzzycnc_ros/ros/bring_up.py`.
+`fuzzycnc_ros/graph/bring_up.py`.
 """
 
 import time
@@ -26,7 +26,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.ros_adapters import get_ros_node
 
-from fuzzycnc_ros.ros.bring_up import (
+from fuzzycnc_ros.graph.bring_up import (
     ACTIVE_TIMEOUT,
     ADDED,
     BANNER,

@@ -111,7 +111,8 @@ def reduced(graph: Graph) -> set[tuple[str, str]]:
 def drawn(tree: Path) -> set[tuple[str, str]]:
     """Return the arrows of the first picture on the page of the architecture."""
     text = (tree / PICTURE).read_text(encoding='utf-8').split('```mermaid', 1)[1].split('```')[0]
-    return set(re.findall(r'^ *(\w+)(?:\[[^\]]*\])? --> (\w+)', text, re.M))
+    found = re.findall(r'^ *(\w+)(?:\[[^\]]*\])? --> (\w+)', text, re.M)
+    return {(name.rstrip('_'), target.rstrip('_')) for name, target in found}  # `graph_`
 
 
 def measured(tree: Path) -> dict[str, int]:

@@ -19,8 +19,8 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from fuzzycnc_ros.core.config import Config  # noqa: E402
+from fuzzycnc_ros.graph.bring_up import LAUNCH_ARGUMENTS, RestartPolicy  # noqa: E402
 from fuzzycnc_ros.registry import COMPONENTS  # noqa: E402
-from fuzzycnc_ros.ros.bring_up import LAUNCH_ARGUMENTS, RestartPolicy  # noqa: E402
 from fuzzycnc_ros.runtime.component import LATCHED, STREAM, Durability  # noqa: E402
 from fuzzycnc_ros.runtime.host import (  # noqa: E402
     DashboardConfig,
@@ -312,7 +312,7 @@ def parameters_page() -> str:
         '',
         'Arguments of `thermal_compensation.launch.py`. It starts what `fuzzycnc up` starts, in',
         'the same order and with the same parameters, and treats what ends in the same way: both',
-        'follow `ros/bring_up.py`. What makes time ends the run with it, with an error if it',
+        'follow `graph/bring_up.py`. What makes time ends the run with it, with an error if it',
         'failed; any other node that dies is started again, ever later, and given up after',
         f'{POLICY.restarts_max} times within {POLICY.window:g} s. A managed node that was active',
         'becomes active again; one that was deactivated by hand does not.',

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import SplitResult, urlsplit
 
-from fuzzycnc_ros.bags.yaml_file import YamlReading, number_of, value_errors
+from fuzzycnc_ros.files.yaml_file import YamlReading, number_of, value_errors
 from fuzzycnc_ros.ros.parameters import ParameterError
 
 try:

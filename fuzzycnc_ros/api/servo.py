@@ -23,13 +23,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fuzzycnc_ros.bags.atomic import write_text
 from fuzzycnc_ros.core.identify.axis_data import identify_axis
 from fuzzycnc_ros.core.identify.axis_fit import AxisRecording
 from fuzzycnc_ros.core.machine.machine_data import AxisData, MachineData
 from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS, make_axis_controller
 from fuzzycnc_ros.core.servo.controller import AxisController
 from fuzzycnc_ros.core.servo.variable_universe import VariableUniverseController
+from fuzzycnc_ros.files.atomic import write_text
 from fuzzycnc_ros.machine_file.reader import is_axis_name, read_machine_file
 from fuzzycnc_ros.machine_file.writer import machine_text
 from fuzzycnc_ros.simulation.servo.axes import simulated_axis

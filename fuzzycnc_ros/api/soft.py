@@ -24,7 +24,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fuzzycnc_ros.bags.atomic import write_text
 from fuzzycnc_ros.core.arrays import check_matrix
 from fuzzycnc_ros.core.deformation.compensation import (
     LEARNING_GAIN,
@@ -41,6 +40,7 @@ from fuzzycnc_ros.core.deformation.soft_model import (
     write_soft_model,
 )
 from fuzzycnc_ros.core.deformation.stitch_path import Primitive, SheetMaterial, StitchPath
+from fuzzycnc_ros.files.atomic import write_text
 from fuzzycnc_ros.studies.soft.foam_learning import learn_track
 from fuzzycnc_ros.studies.soft.foam_records import array_samples, recorded_run
 from fuzzycnc_ros.studies.soft.foam_training import AUTO, train_model

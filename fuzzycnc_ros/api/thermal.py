@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fuzzycnc_ros.bags.atomic import write_text
 from fuzzycnc_ros.bags.runs import read_run as read_bag
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.remedies import options_as
@@ -32,6 +31,7 @@ from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
 from fuzzycnc_ros.core.thermal.fit.comparison import HeldOut, judge, splits
 from fuzzycnc_ros.core.thermal.model import ThermalModel, load_model
 from fuzzycnc_ros.core.thermal.run import ThermalRun
+from fuzzycnc_ros.files.atomic import write_text
 from fuzzycnc_ros.papers.thermal import ALL_CONTENDERS
 
 if TYPE_CHECKING:

@@ -32,12 +32,12 @@ from fuzzycnc_ros.bags.csv_time import (
     zone_of,
 )
 from fuzzycnc_ros.bags.errors import BagError, CsvError
-from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.core.remedies import options_as
 from fuzzycnc_ros.core.thermal.run import JITTER_MAX, SAMPLES_MIN
 from fuzzycnc_ros.core.thermal.spacing import sample_interval
 from fuzzycnc_ros.core.units import TIMES
+from fuzzycnc_ros.files.os_errors import os_sentence
 
 _ENCODINGS = ('cp1252', 'latin-1', 'utf-16')
 """Encodings tried where a file is not UTF-8, that of Excel on Windows first."""

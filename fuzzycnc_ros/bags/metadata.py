@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from fuzzycnc_ros.bags.atomic import write_text
 from fuzzycnc_ros.bags.errors import BagFormatError
 from fuzzycnc_ros.bags.libraries import load
+from fuzzycnc_ros.files.atomic import write_text
 
 METADATA_FILE = 'metadata.yaml'
 VERSION = 9

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any, BinaryIO
 from urllib.parse import urlsplit
 
-from fuzzycnc_ros.bags.atomic import write_text
 from fuzzycnc_ros.bags.errors import BagError, MissingLibraryError
 from fuzzycnc_ros.bags.libraries import load
+from fuzzycnc_ros.files.atomic import write_text
 
 LEDGER = 'shipped.json'
 """File in the bag that says what arrived where."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fuzzycnc_ros.bags.errors import BagFormatError
-from fuzzycnc_ros.bags.os_errors import os_sentence
+from fuzzycnc_ros.files.os_errors import os_sentence
 
 TOPICS_MAX = 10_000
 """Most topics of a storage file; a shop of a hundred machines has fewer."""

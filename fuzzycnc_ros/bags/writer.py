@@ -34,14 +34,14 @@ from fuzzycnc_ros.bags.metadata import (
     Qos,
     TopicInfo,
 )
-from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.bags.typestore import (
     message_definition,
     serialize,
     type_hash,
 )
+from fuzzycnc_ros.files.os_errors import os_sentence
+from fuzzycnc_ros.files.uninterrupted import uninterrupted
 from fuzzycnc_ros.runtime.provenance import MESSAGE_SET
-from fuzzycnc_ros.uninterrupted import uninterrupted
 
 CHUNK_SIZE = 16384
 """Uncompressed size at which a chunk is closed [bytes]; what is in an open chunk dies with us."""

@@ -19,7 +19,6 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from fuzzycnc_ros import __version__
-from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.cli.background_output import background_output
 from fuzzycnc_ros.cli.completion import join_bash_words
 from fuzzycnc_ros.cli.console import complain, flush, say
@@ -28,10 +27,11 @@ from fuzzycnc_ros.cli.remedies import command_with, sentence
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.core.remedies import remedied
 from fuzzycnc_ros.core.units import with_point
+from fuzzycnc_ros.files.os_errors import os_sentence
+from fuzzycnc_ros.files.uninterrupted import uninterrupted
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.processes import StopRequest, interruptible
 from fuzzycnc_ros.ros.streams import steady_streams
-from fuzzycnc_ros.uninterrupted import uninterrupted
 
 EPILOG = (
     'Exit codes: 0 done; 1 done, but the result is not as wanted; 2 refused, with one line on '

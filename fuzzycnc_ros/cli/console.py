@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 
-from fuzzycnc_ros.bags.atomic import destination, is_written_through
-from fuzzycnc_ros.bags.atomic import write_text as write_whole
-from fuzzycnc_ros.bags.os_errors import STANDARD_OUTPUT, about, no_folder
 from fuzzycnc_ros.cli.progress_lines import progress_lines
 from fuzzycnc_ros.core.names import visible
+from fuzzycnc_ros.files.atomic import destination, is_written_through
+from fuzzycnc_ros.files.atomic import write_text as write_whole
+from fuzzycnc_ros.files.os_errors import STANDARD_OUTPUT, about, no_folder
 from fuzzycnc_ros.studies.page.document import to_document
 
 if TYPE_CHECKING:

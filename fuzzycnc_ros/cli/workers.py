@@ -23,7 +23,7 @@ from typing import Any, TypeVar
 
 from fuzzycnc_ros.cli.console import Tell
 from fuzzycnc_ros.cli.models.fit_progress import FitCounter
-from fuzzycnc_ros.uninterrupted import uninterrupted
+from fuzzycnc_ros.files.uninterrupted import uninterrupted
 
 Item = TypeVar('Item')
 Result = TypeVar('Result')

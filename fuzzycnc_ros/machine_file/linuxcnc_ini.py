@@ -13,7 +13,7 @@ from math import inf, isfinite
 from pathlib import Path
 from types import MappingProxyType
 
-from fuzzycnc_ros.bags.os_errors import os_sentence
+from fuzzycnc_ros.files.os_errors import os_sentence
 
 SIZE_MAX = 1_000_000
 """Largest file that is read [bytes]."""

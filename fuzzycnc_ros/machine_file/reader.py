@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
 
-from fuzzycnc_ros.bags.yaml_file import Entry, YamlReading, compose
 from fuzzycnc_ros.core.machine.knowledge import AxisKnowledge
 from fuzzycnc_ros.core.machine.machine_data import (
     PLANTS,
@@ -19,6 +18,7 @@ from fuzzycnc_ros.core.machine.machine_data import (
     PlantConfig,
 )
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.files.yaml_file import Entry, YamlReading, compose
 from fuzzycnc_ros.machine_file.linuxcnc_ini import LinuxcncLimits, read_linuxcnc_ini
 
 BUILT_IN = ('mill', 'lathe', 'ballscrew')

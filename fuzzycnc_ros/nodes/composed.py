@@ -6,8 +6,8 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
+from fuzzycnc_ros.graph.bring_up import TOOLS
 from fuzzycnc_ros.ros import run
-from fuzzycnc_ros.ros.bring_up import TOOLS
 from fuzzycnc_ros.ros.processes import end
 from fuzzycnc_ros.ros.run import tell_error
 from fuzzycnc_ros.ros.streams import steady_streams

@@ -20,11 +20,11 @@ from rclpy.node import Node
 from fuzzycnc_ros import __version__
 from fuzzycnc_ros.components.dashboard.history import Rows, history_document, joined
 from fuzzycnc_ros.components.dashboard.machine_view import MachineView
+from fuzzycnc_ros.graph.page_actions import Actions, NeedsForceError
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.health import diagnostic_array
 from fuzzycnc_ros.ros.machine_watch import DISCOVERY_PERIOD, MachineWatch
-from fuzzycnc_ros.ros.page_actions import Actions, NeedsForceError
 from fuzzycnc_ros.ros.parameters import ParameterError, declare
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.run import tell_error

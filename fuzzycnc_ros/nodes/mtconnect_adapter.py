@@ -9,8 +9,8 @@ from rclpy.node import Node
 
 from fuzzycnc_ros.adapters.mtconnect.shdr_server import ShdrServer
 from fuzzycnc_ros.adapters.report_node import ReportNode
-from fuzzycnc_ros.bags.atomic import write_regular
 from fuzzycnc_ros.components.report.shdr import Shdr
+from fuzzycnc_ros.files.atomic import write_regular
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.host import MtconnectAdapterConfig

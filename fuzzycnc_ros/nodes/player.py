@@ -25,6 +25,7 @@ from fuzzycnc_ros.bags.playback import (
     require_topics,
 )
 from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.graph.sequencer import Sequencer
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.bag_node import bag_refused, closed_on_failure, pattern
 from fuzzycnc_ros.ros.clocks import wall_timer
@@ -32,7 +33,6 @@ from fuzzycnc_ros.ros.configured_node import ConfiguredNode
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.ros.presence import check_alone
 from fuzzycnc_ros.ros.run import tell_error
-from fuzzycnc_ros.ros.sequencer import Sequencer
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos, routes_matched
 from fuzzycnc_ros.runtime.component import STREAM, Health, Level
 from fuzzycnc_ros.runtime.host import PlayerConfig

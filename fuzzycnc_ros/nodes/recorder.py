@@ -26,6 +26,7 @@ from fuzzycnc_ros.bags.recorder import PENDING_MAX, Progress, RecordingThread
 from fuzzycnc_ros.bags.shipping import Shipper
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.core.names import text_hash, visible
+from fuzzycnc_ros.files.uninterrupted import Interrupted, uninterrupted
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.bag_node import bag_refused, check_keeping, closed_on_failure, pattern
 from fuzzycnc_ros.ros.clocks import LogClock, SteadyClock, wall_timer
@@ -50,7 +51,6 @@ from fuzzycnc_ros.runtime.records import (
     MachineState,
     Temperatures,
 )
-from fuzzycnc_ros.uninterrupted import Interrupted, uninterrupted
 
 DEPTH = 5000
 """Depth of the subscription: messages held while the process is stopped."""

@@ -13,10 +13,10 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachine,
 )
+from fuzzycnc_ros.graph.sequencer import Sequencer
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.clocks import CLOCK_PERIOD, SLIP, START_POLL, Pace, StartGate, wall_timer
 from fuzzycnc_ros.ros.host import ComponentNode
-from fuzzycnc_ros.ros.sequencer import Sequencer
 from fuzzycnc_ros.ros.topics import RCLPY, publisher_qos
 from fuzzycnc_ros.runtime.component import STREAM
 from fuzzycnc_ros.runtime.records import SECOND, nanoseconds

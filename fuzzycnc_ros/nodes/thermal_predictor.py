@@ -23,13 +23,13 @@ from rclpy.task import Future
 
 from fuzzycnc_msgs.action import TrainThermalModel
 from fuzzycnc_msgs.srv import ForgetThermalPosterior
-from fuzzycnc_ros.bags.atomic import write_regular
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.names import text_hash
 from fuzzycnc_ros.core.remedies import Remedy, remedied
 from fuzzycnc_ros.core.thermal.model import SIZE_MAX, ThermalModel
+from fuzzycnc_ros.files.atomic import write_regular
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.host import ComponentNode

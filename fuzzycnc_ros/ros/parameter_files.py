@@ -14,7 +14,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from fuzzycnc_ros.bags.yaml_file import compose
+from fuzzycnc_ros.files.yaml_file import compose
 from fuzzycnc_ros.ros.presence import GraphError
 
 SUFFIXES = ('.yaml', '.yml')

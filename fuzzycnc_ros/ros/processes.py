@@ -22,7 +22,7 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
-from fuzzycnc_ros.uninterrupted import Interrupted, interrupt
+from fuzzycnc_ros.files.uninterrupted import Interrupted, interrupt
 
 DISCOVERY_PROFILE = Path(__file__).with_name('quick_discovery.xml')
 

@@ -21,6 +21,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger, _internal_callers
 from rclpy.node import Node
 
 from fuzzycnc_ros.core.names import visible
+from fuzzycnc_ros.files.uninterrupted import Interrupted, uninterrupted
 from fuzzycnc_ros.ros.arguments import initialise
 from fuzzycnc_ros.ros.executor import LeanExecutor
 from fuzzycnc_ros.ros.parameters import ParameterError
@@ -36,7 +37,6 @@ from fuzzycnc_ros.ros.processes import (
 )
 from fuzzycnc_ros.ros.service_manager import ServiceManager
 from fuzzycnc_ros.ros.streams import steady_streams
-from fuzzycnc_ros.uninterrupted import Interrupted, uninterrupted
 
 DELIVERING = 0.5
 """Wall time [s] in all that readers have to acknowledge what the nodes published last."""

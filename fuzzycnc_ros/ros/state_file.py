@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rclpy.serialization import deserialize_message, serialize_message
 
-from fuzzycnc_ros.bags.atomic import write_text
+from fuzzycnc_ros.files.atomic import write_text
 from fuzzycnc_ros.ros.topics import RCLPY, message_class
 from fuzzycnc_ros.runtime.component import Output
 from fuzzycnc_ros.runtime.convert import decode, encode

@@ -11,8 +11,8 @@ import socket
 import ssl
 from pathlib import Path
 
-from fuzzycnc_ros.bags.atomic import SECRET_FILE, write_text
 from fuzzycnc_ros.bags.secret_file import check_secret
+from fuzzycnc_ros.files.atomic import SECRET_FILE, write_text
 
 TOKEN_LEAST = 16
 """Characters that a token must have; its own ones have 43."""

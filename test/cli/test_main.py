@@ -143,7 +143,7 @@ def test_interrupt_ends_with_130_and_one_line(fuzzycnc, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr('fuzzycnc_ros.bags.replay.replay', interrupted)
+    monkeypatch.setattr('fuzzycnc_ros.replay.replay.replay', interrupted)
     outcome = fuzzycnc('replay', 'shift')
     assert outcome.code == 130
     assert outcome.err.split() == ['interrupted']
@@ -191,7 +191,7 @@ def test_a_fault_of_the_programme_is_one_line_too(refused, monkeypatch):
     def broken(*_, **__):
         raise TypeError('two\nlines')
 
-    monkeypatch.setattr('fuzzycnc_ros.bags.replay.replay', broken)
+    monkeypatch.setattr('fuzzycnc_ros.replay.replay.replay', broken)
     refused('replay', 'shift', naming=['TypeError: two lines', '--debug'])
 
 

@@ -8,9 +8,9 @@ from dataclasses import fields
 import pytest
 
 from fuzzycnc_ros.bags.csv_mapping import CsvMapping
-from fuzzycnc_ros.bags.yaml_file import SIZE_MAX, compose, construct
 from fuzzycnc_ros.cli.bags.import_csv import _read_mapping
 from fuzzycnc_ros.cli.programs.scheduling_machine import read_machine
+from fuzzycnc_ros.files.yaml_file import SIZE_MAX, compose, construct
 from fuzzycnc_ros.studies.servo.servo_settings import read_settings
 
 LAUGHS = 'a: &a [x, x]\n' + ''.join(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from aggregator import analyzers, matching
 
-from fuzzycnc_ros.ros.bring_up import THERMAL
+from fuzzycnc_ros.graph.bring_up import THERMAL
 
 NODES = runpy.run_path(str(Path(__file__).parents[2] / 'tools' / 'make_tables.py'))['nodes']()
 

@@ -16,8 +16,8 @@ from each_case import for_each
 
 from fuzzycnc_ros.core.thermal.fit import evaluate, train_model
 from fuzzycnc_ros.core.thermal.run import ThermalRun
+from fuzzycnc_ros.graph.bring_up import LAUNCH_ARGUMENTS
 from fuzzycnc_ros.registry import COMPONENTS, MACHINES
-from fuzzycnc_ros.ros.bring_up import LAUNCH_ARGUMENTS
 from fuzzycnc_ros.runtime.component import LATCHED
 from fuzzycnc_ros.simulation.thermal.duties import record_runs
 

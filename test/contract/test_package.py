@@ -305,7 +305,7 @@ LAUNCH_FILES = sorted((ROOT / 'launch').glob('*.launch.py'))
 
 @pytest.mark.parametrize('path', LAUNCH_FILES, ids=lambda path: path.name)
 def test_launch_file_follows_the_table(path):
-    """Nodes, parameters and restarts come from `ros/bring_up.py`; test_bring_up.py holds that."""
+    """Nodes, parameters and restarts come from `graph/bring_up.py`, by its test."""
     tree = ast.parse(path.read_text())
     functions = {item.name for item in tree.body if isinstance(item, ast.FunctionDef)}
     assert 'generate_launch_description' in functions

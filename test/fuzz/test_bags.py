@@ -21,7 +21,6 @@ from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.repair import repair
-from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.components.machine.simulated_machine import (
@@ -32,6 +31,7 @@ from fuzzycnc_ros.components.thermal.compensator import Compensator, Compensator
 from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector
 from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureAcquisition
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
+from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.graph import InProcessGraph
 from fuzzycnc_ros.runtime.host import NodeConfiguration, NodeEvent

@@ -23,11 +23,11 @@ from fuzzycnc_ros.bags.finding import NamedBag
 from fuzzycnc_ros.bags.playback import messages, played_topics
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.repair import repair
-from fuzzycnc_ros.bags.replay import ReplayError, replay
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.bags.typestore import message_definition
 from fuzzycnc_ros.cli.models.evaluate import judge_bag
 from fuzzycnc_ros.core.thermal.fit import train_model
+from fuzzycnc_ros.replay.replay import ReplayError, replay
 
 pytestmark = pytest.mark.filterwarnings('ignore::RuntimeWarning')
 

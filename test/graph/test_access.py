@@ -17,8 +17,7 @@ import rclpy
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.cli.live.operator_client import OperatorClient
 from fuzzycnc_ros.cli.live.supervision_monitor import Monitor
-from fuzzycnc_ros.registry import COMPONENTS
-from fuzzycnc_ros.ros.access import (
+from fuzzycnc_ros.graph.access import (
     ACTIONS,
     DASHBOARD,
     MQTT,
@@ -30,6 +29,7 @@ from fuzzycnc_ros.ros.access import (
     RECORDER,
     access_of,
 )
+from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.runtime.records import CompensationApplied
 
 pytestmark = pytest.mark.ros

@@ -15,8 +15,8 @@ from lifecycle_msgs.msg import State, Transition
 from rosgraph_msgs.msg import Clock
 from tiers import rest_slow
 
-from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
+from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode

@@ -7,10 +7,10 @@ import pytest
 from live_graph import ANSWER_TIMEOUT, KILL_TIMEOUT
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
-from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryStatus
+from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.runtime.records import (
     AxisState,
     ContourError,

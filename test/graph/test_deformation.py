@@ -12,7 +12,6 @@ from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import SetParameters
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
-from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.soft.stitch_patterns import stitch_pattern
@@ -20,6 +19,7 @@ from fuzzycnc_ros.core.deformation.model import write_model
 from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 from fuzzycnc_ros.core.deformation.stitch_path import Primitive
 from fuzzycnc_ros.core.names import text_hash
+from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import LATCHED
 from fuzzycnc_ros.runtime.convert import encode

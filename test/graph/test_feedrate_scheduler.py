@@ -15,10 +15,10 @@ from rcl_interfaces.srv import SetParameters
 from rosgraph_msgs.msg import Clock
 
 from fuzzycnc_msgs.srv import ScheduleProgram
-from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.components.motion.tool_paths import curve_tool_path
 from fuzzycnc_ros.core.feedrate.path.curves import trident
 from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryStatus
+from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode

@@ -18,7 +18,7 @@ pytest.importorskip('launch_ros', reason='launch_ros is part of a full ROS insta
 FILE = Path(__file__).parents[2] / 'launch' / 'thermal_compensation.launch.py'
 RUN = """
 import sys
-from fuzzycnc_ros.ros import bring_up
+from fuzzycnc_ros.graph import bring_up
 bring_up.ACTIVE_TIMEOUT = 1e6  # who waits for an active node waits for what it tells
 from launch import LaunchDescription, LaunchService
 from launch.actions import IncludeLaunchDescription

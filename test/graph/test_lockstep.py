@@ -7,7 +7,7 @@ import sys
 import pytest
 from live_graph import ANSWER_TIMEOUT
 
-from fuzzycnc_ros.bags.replay import replay
+from fuzzycnc_ros.replay.replay import replay
 
 pytestmark = pytest.mark.ros
 

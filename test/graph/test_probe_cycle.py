@@ -11,7 +11,7 @@ from benches.probe_rig import reference_at
 
 from fuzzycnc_ros.adapters.probing.probe_file import read_plan
 from fuzzycnc_ros.adapters.probing.programs import BEGIN, END
-from fuzzycnc_ros.bags.replay import replay
+from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import LATCHED
 from fuzzycnc_ros.runtime.convert import encode

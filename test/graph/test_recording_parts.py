@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.bags.metadata import storage_files
 from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.bags.replay import replay
+from fuzzycnc_ros.replay.replay import replay
 
 pytestmark = pytest.mark.ros
 

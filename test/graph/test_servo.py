@@ -13,11 +13,11 @@ from lifecycle_msgs.msg import Transition
 from live_graph import ANSWER_TIMEOUT, KILL_TIMEOUT
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
-from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
 from fuzzycnc_ros.machine_file.parameters import node_parameters
 from fuzzycnc_ros.machine_file.reader import read_machine_file
+from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.runtime.component import Level
 from fuzzycnc_ros.runtime.enums import ServoStatus
 from fuzzycnc_ros.runtime.records import (

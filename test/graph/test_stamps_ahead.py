@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rosgraph_msgs.msg import Clock
 
-from fuzzycnc_ros.bags.replay import replay
+from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import STREAM
 from fuzzycnc_ros.runtime.convert import encode

@@ -14,7 +14,7 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachine,
     SimulatedMachineConfig,
 )
-from fuzzycnc_ros.ros.sequencer import BACKLOG, Participant, Sequencer
+from fuzzycnc_ros.graph.sequencer import BACKLOG, Participant, Sequencer
 from fuzzycnc_ros.ros.topics import RCLPY, create_publisher, routes_matched
 from fuzzycnc_ros.runtime.component import STREAM
 from fuzzycnc_ros.runtime.convert import encode

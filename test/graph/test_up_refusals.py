@@ -11,7 +11,7 @@ import pytest
 from benches.predictor_bench import losing_text
 
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
-from fuzzycnc_ros.ros.bring_up import LENGTH_MAX
+from fuzzycnc_ros.graph.bring_up import LENGTH_MAX
 from fuzzycnc_ros.ros.presence import GraphError
 
 pytestmark = pytest.mark.ros

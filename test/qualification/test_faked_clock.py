@@ -24,7 +24,7 @@ from equipment.opcua_machine import AXES, FILE, ControlServer, LineControl, cont
 from live_graph import parameter_file, ros_arguments
 
 from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
-from fuzzycnc_ros.ros.bring_up import NodeSpec
+from fuzzycnc_ros.graph.bring_up import NodeSpec
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import encode

@@ -20,7 +20,7 @@ from fuzzycnc_ros.adapters.probing.programs import write_programs
 from fuzzycnc_ros.cli.demo.linuxcnc import COUNT, SLEW
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.cli.live.operator_client import OperatorClient
-from fuzzycnc_ros.ros.bring_up import LEARNING, NodeSpec
+from fuzzycnc_ros.graph.bring_up import LEARNING, NodeSpec
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.component import LATCHED
 from fuzzycnc_ros.runtime.convert import encode

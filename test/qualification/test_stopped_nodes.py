@@ -11,7 +11,7 @@ import pytest
 from supervised_shift import Up, check_steps
 
 from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
-from fuzzycnc_ros.ros.bring_up import NODE_STOP, RestartPolicy
+from fuzzycnc_ros.graph.bring_up import NODE_STOP, RestartPolicy
 from fuzzycnc_ros.runtime.enums import CompensationState
 
 pytestmark = [pytest.mark.ros, pytest.mark.qualify, pytest.mark.realtime]

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.bags.replay import ReplayError, relative_difference, replay
 from fuzzycnc_ros.bags.typestore import ROSBAGS
 from fuzzycnc_ros.bags.writer import BagWriter
+from fuzzycnc_ros.replay.replay import ReplayError, relative_difference, replay
 from fuzzycnc_ros.runtime.convert import decode, encode
 from fuzzycnc_ros.runtime.enums import Status
 from fuzzycnc_ros.runtime.records import (

@@ -22,7 +22,6 @@ from fuzzycnc_ros.bags.mcapfile import McapFile
 from fuzzycnc_ros.bags.metadata import Profiles, is_latched
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.repair import repair
-from fuzzycnc_ros.bags.replay import ReplayReport, TopicComparison, replay
 from fuzzycnc_ros.bags.typestore import deserialize, serialize
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.components.machine.simulated_machine import (
@@ -35,6 +34,7 @@ from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector
 from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureAcquisition
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.replay.replay import ReplayReport, TopicComparison, replay
 from fuzzycnc_ros.runtime.arithmetic import arithmetic
 from fuzzycnc_ros.runtime.graph import InProcessGraph
 from fuzzycnc_ros.runtime.host import NodeEvent
@@ -411,7 +411,7 @@ def test_rounding_is_excused_by_other_arithmetic_alone(
     thermal, folder, fuzzycnc, monkeypatch, here, code, verdict
 ):
     bag = rounded(thermal).write(folder / 'a')
-    monkeypatch.setattr('fuzzycnc_ros.bags.replay.arithmetic', lambda: here)
+    monkeypatch.setattr('fuzzycnc_ros.replay.replay.arithmetic', lambda: here)
     outcome = fuzzycnc('replay', bag)
     assert outcome.code == code
     assert verdict in ' '.join(outcome.out.split())

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.bags.errors import BagError
-from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.core.feedrate.path.curves import CURVES, SHEET_SCALES
 from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.simulation.motion.contour import Contour
 from fuzzycnc_ros.studies.contour.contouring import (
     SETTLE,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.bags.replay import replay
+from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.simulation.thermal.mill import MILL_AXES
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.shift.learnt_days import (

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.bags.errors import BagError
-from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.components.machine.machine_patterns import parse_patterns
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
@@ -18,6 +17,7 @@ from fuzzycnc_ros.core.deformation.model import write_model
 from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets, write_offsets
 from fuzzycnc_ros.core.deformation.stitch_path import StitchPath
+from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples, true_compensation
 from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack

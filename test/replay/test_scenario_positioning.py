@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.bags.errors import BagError
-from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachine,
     SimulatedMachineConfig,
@@ -20,6 +19,7 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
 )
 from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryStatus
 from fuzzycnc_ros.core.servo.profile import point_to_point
+from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.runtime.enums import ServoStatus
 from fuzzycnc_ros.runtime.graph import InProcessGraph
 from fuzzycnc_ros.simulation.servo.axes import LatheAxis

@@ -5,7 +5,6 @@
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachine,
     SimulatedMachineConfig,
@@ -17,6 +16,7 @@ from fuzzycnc_ros.components.thermal.thermal_predictor import (
     ThermalPredictorConfig,
 )
 from fuzzycnc_ros.core.thermal.fit import train_model
+from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.runtime.graph import InProcessGraph
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration, run_shift

@@ -9,11 +9,11 @@ from kept import kept
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.bags.errors import BagExistsError
 from fuzzycnc_ros.bags.reader import BagReader
-from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.core.thermal.model import load_model
 from fuzzycnc_ros.core.thermal.run import ThermalDataError
+from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.runtime.enums import CompensationState
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.shift.shift_log import ShiftLog, compensation_runs

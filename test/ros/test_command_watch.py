@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed here: run `make test`')
 
-from fuzzycnc_ros.ros.bring_up import RestartPolicy
+from fuzzycnc_ros.graph.bring_up import RestartPolicy
 from fuzzycnc_ros.ros.command_watch import GONE, SETTLED, Publisher, TopicSources
 from fuzzycnc_ros.ros.processes import DISCOVERY_PROFILE
 

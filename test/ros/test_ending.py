@@ -10,11 +10,11 @@ import threading
 import pytest
 from processes import start, wait_for
 
+from fuzzycnc_ros.files.uninterrupted import Interrupted
+from fuzzycnc_ros.graph.bring_up import NODE_STOP
 from fuzzycnc_ros.ros import processes
-from fuzzycnc_ros.ros.bring_up import NODE_STOP
 from fuzzycnc_ros.ros.processes import EXITING, interruptible
 from fuzzycnc_ros.ros.run import LETTING_GO
-from fuzzycnc_ros.uninterrupted import Interrupted
 
 
 class Finalised:

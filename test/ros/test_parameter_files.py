@@ -4,7 +4,7 @@
 
 import pytest
 
-from fuzzycnc_ros.ros.bring_up import known_nodes, page_spec
+from fuzzycnc_ros.graph.bring_up import known_nodes, page_spec
 from fuzzycnc_ros.ros.parameter_files import ParameterSection, parameter_files, sections, unread
 from fuzzycnc_ros.ros.presence import GraphError
 

@@ -44,7 +44,7 @@ from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.bags.typestore import ROSBAGS
 from fuzzycnc_ros.cli.live.graph_processes import parameter_file, ros_arguments
 from fuzzycnc_ros.core.thermal.fit import train_model
-from fuzzycnc_ros.ros.bring_up import NodeSpec, node_specs
+from fuzzycnc_ros.graph.bring_up import NodeSpec, node_specs
 from fuzzycnc_ros.ros.processes import prepare_environment
 from fuzzycnc_ros.ros.run import run
 from fuzzycnc_ros.ros.topics import message_class, subscription_qos

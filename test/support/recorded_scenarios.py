@@ -14,11 +14,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from fuzzycnc_ros.bags.canonical import combined_hash, topic_hashes
-from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
 from fuzzycnc_ros.core.servo.axis_control import FOR_USE
+from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.runtime.graph import Sink
 from fuzzycnc_ros.studies.contour.contouring import run_contouring
 from fuzzycnc_ros.studies.published_bag import PublishedBag

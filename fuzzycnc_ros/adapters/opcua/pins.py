@@ -11,7 +11,7 @@ import re
 from pathlib import Path
 
 from fuzzycnc_ros.adapters.link import LinkError
-from fuzzycnc_ros.bags.atomic import write_text
+from fuzzycnc_ros.files.atomic import write_text
 
 
 def pin_file(folder: Path, host: str, port: int) -> Path:

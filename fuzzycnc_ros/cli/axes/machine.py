@@ -331,7 +331,7 @@ def new(
     import os
     from dataclasses import replace
 
-    from fuzzycnc_ros.bags.atomic import is_written_through
+    from fuzzycnc_ros.files.atomic import is_written_through
     from fuzzycnc_ros.machine_file.linuxcnc_ini import read_linuxcnc_ini
     from fuzzycnc_ros.machine_file.reader import read_machine_file
     from fuzzycnc_ros.machine_file.writer import machine_text

@@ -16,7 +16,7 @@ from fuzzycnc_ros.cli.quantities import number_in
 from fuzzycnc_ros.core.units import TIMES
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.bags.yaml_file import Entry, YamlReading
+    from fuzzycnc_ros.files.yaml_file import Entry, YamlReading
 
 OptionalText = Optional[str]  # noqa: UP045 - typer 0.9 does not read the newer form
 OptionalNumber = Optional[float]  # noqa: UP045
@@ -262,7 +262,7 @@ def _read_mapping(path: Path, known: list[str]) -> dict[str, Any]:
     ValueError
         If it is no mapping of the known settings.
     """
-    from fuzzycnc_ros.bags.yaml_file import YamlReading
+    from fuzzycnc_ros.files.yaml_file import YamlReading
 
     reading = YamlReading(path, 'a mapping of columns', noun='setting')
     settings = reading.top('settings such as `time: t`')

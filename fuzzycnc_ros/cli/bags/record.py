@@ -32,7 +32,7 @@ from fuzzycnc_ros.cli.console import (
 from fuzzycnc_ros.cli.options import OptionalNumber, given
 from fuzzycnc_ros.cli.quantities import number_in
 from fuzzycnc_ros.core.units import TIMES
-from fuzzycnc_ros.ros.bring_up import RECORDER_STOP, machine_name
+from fuzzycnc_ros.graph.bring_up import RECORDER_STOP, machine_name
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.processes import child_set_up, prepare_environment
 from fuzzycnc_ros.ros.recording import recorder_command

@@ -10,7 +10,7 @@ import typer
 from fuzzycnc_ros.cli.console import JsonFile, check_folder, progress_bar, say, show, write_json
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.bags.replay import ReplayReport, TopicComparison
+    from fuzzycnc_ros.replay.replay import ReplayReport, TopicComparison
 
 
 def replay(
@@ -52,8 +52,8 @@ def replay(
         fuzzycnc replay shift --exact --json replay.json
         fuzzycnc replay shift --hash
     """
-    from fuzzycnc_ros.bags.origins import GIVEN_REMEDY
-    from fuzzycnc_ros.bags.replay import replay as recompute
+    from fuzzycnc_ros.replay.origins import GIVEN_REMEDY
+    from fuzzycnc_ros.replay.replay import replay as recompute
     from fuzzycnc_ros.studies.page.table import Column, Table
 
     check_folder(json_file)

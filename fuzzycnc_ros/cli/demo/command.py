@@ -20,7 +20,7 @@ from fuzzycnc_ros.cli.demo.thermal import thermal
 from fuzzycnc_ros.cli.live.page_process import Page
 from fuzzycnc_ros.cli.programs.program_files import program_lines
 from fuzzycnc_ros.cli.terminal import Terminal
-from fuzzycnc_ros.ros.bring_up import BANNER
+from fuzzycnc_ros.graph.bring_up import BANNER
 from fuzzycnc_ros.ros.presence import GraphError
 
 

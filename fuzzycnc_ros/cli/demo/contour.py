@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from fuzzycnc_ros.cli.demo.steps import RUN_TIMEOUT, Outcome, Steps, ended, lockstep_graph
-from fuzzycnc_ros.ros.bring_up import NodeSpec
+from fuzzycnc_ros.graph.bring_up import NodeSpec
 
 MACHINE = 'mill'
 PATHS = ('butterfly',)
@@ -33,9 +33,9 @@ class ContourResult:
 
 def contour(out: Path, seed: int, progress: Steps) -> Outcome:
     """Run the scenario; its contour error is to be that of the same run in one process."""
-    from fuzzycnc_ros.bags.replay import replay
     from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
     from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+    from fuzzycnc_ros.replay.replay import replay
     from fuzzycnc_ros.studies.contour.contouring import SETTLE, ContouringLog, run_contouring
     from fuzzycnc_ros.studies.contour.contouring_page import contouring_page, contouring_table
 

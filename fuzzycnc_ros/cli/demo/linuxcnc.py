@@ -21,7 +21,7 @@ from fuzzycnc_ros.bags.recording_loss import LACKING, loss
 from fuzzycnc_ros.cli.console import complain
 from fuzzycnc_ros.cli.demo.steps import RUN_TIMEOUT, Outcome, Steps, ended, play
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
-from fuzzycnc_ros.ros.bring_up import NodeSpec
+from fuzzycnc_ros.graph.bring_up import NodeSpec
 from fuzzycnc_ros.ros.presence import GraphError
 
 MACHINE = 'mill'

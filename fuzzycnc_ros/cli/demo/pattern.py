@@ -35,8 +35,8 @@ class PatternResult:
 
 def pattern(out: Path, seed: int, progress: Steps) -> Outcome:
     """Run the scenario; its stitches are to be those of the same runs in one process."""
-    from fuzzycnc_ros.bags.replay import replay
     from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
+    from fuzzycnc_ros.replay.replay import replay
     from fuzzycnc_ros.studies.soft.pattern import TRACK, PatternLog, run_patterns
     from fuzzycnc_ros.studies.soft.pattern_page import PUBLISHED_OF, pattern_page, pattern_table
 

@@ -19,7 +19,7 @@ from fuzzycnc_ros.cli.demo.shift_quilter import (
 )
 from fuzzycnc_ros.cli.demo.steps import Outcome, Steps, ended, lockstep_graph
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
-from fuzzycnc_ros.ros.bring_up import NodeSpec
+from fuzzycnc_ros.graph.bring_up import NodeSpec
 
 LIVE_TIMEOUT = 1200.0
 """Wall time [s] that a live run may take: a busy host may be ten times slower than an idle one."""

@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from fuzzycnc_ros.ros.bring_up import NodeSpec
+from fuzzycnc_ros.graph.bring_up import NodeSpec
 
 QUILT = 'quilt'
 FOAM_SEED = 1000

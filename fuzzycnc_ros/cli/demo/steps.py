@@ -23,7 +23,7 @@ from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.cli.live.page_process import page_beside
 from fuzzycnc_ros.cli.progress_lines import progress_lines
 from fuzzycnc_ros.cli.terminal import Description
-from fuzzycnc_ros.ros.bring_up import NodeSpec
+from fuzzycnc_ros.graph.bring_up import NodeSpec
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.studies.page.document import to_document
 

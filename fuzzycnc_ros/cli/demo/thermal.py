@@ -12,7 +12,7 @@ import numpy as np
 from fuzzycnc_ros.cli.demo.steps import RUN_TIMEOUT, Outcome, Steps, ended
 from fuzzycnc_ros.cli.live.free_domain import other_domain
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
-from fuzzycnc_ros.ros.bring_up import node_specs
+from fuzzycnc_ros.graph.bring_up import node_specs
 
 MACHINE = 'mill'
 CALIBRATION = ('D0', 'D0b', 'T1')
@@ -38,10 +38,10 @@ class ThermalResult:
 
 def thermal(out: Path, seed: int, progress: Steps) -> Outcome:
     """Run the scenario; its replay is to be identical."""
-    from fuzzycnc_ros.bags.replay import replay
     from fuzzycnc_ros.cli.live.latency import measure_latency
     from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
     from fuzzycnc_ros.core.thermal.model import load_model
+    from fuzzycnc_ros.replay.replay import replay
     from fuzzycnc_ros.studies.shift.shift_log import ShiftLog, compensation_runs
     from fuzzycnc_ros.studies.shift.shift_report import shift_report
     from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fuzzycnc_ros.cli.demo.steps import RUN_TIMEOUT, Steps, ended, lockstep_graph
-from fuzzycnc_ros.ros.bring_up import NodeSpec
+from fuzzycnc_ros.graph.bring_up import NodeSpec
 
 MACHINE = 'mill'
 
@@ -61,7 +61,7 @@ def run_days(
     progress : Steps
         Told its steps.
     """
-    from fuzzycnc_ros.bags.replay import replay
+    from fuzzycnc_ros.replay.replay import replay
 
     specs = [NodeSpec(name, {'lockstep': True, **values}) for name, values in given.items()]
     with lockstep_graph(MACHINE, specs, out / 'bag', out / 'log') as graph:

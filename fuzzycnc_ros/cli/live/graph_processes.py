@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from fuzzycnc_ros.ros.bring_up import NodeSpec, stop_timeout
+from fuzzycnc_ros.graph.bring_up import NodeSpec, stop_timeout
 from fuzzycnc_ros.ros.leftovers import TemporaryFolder, remove_leftovers
 from fuzzycnc_ros.ros.presence import TAKEOVER, GraphError
 from fuzzycnc_ros.ros.processes import (

@@ -17,7 +17,7 @@ from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.cli.live.operator_client import DISCOVERY_TIMEOUT, OperatorClient
 from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.core.thermal.model import ThermalModel
-from fuzzycnc_ros.ros.bring_up import NodeSpec
+from fuzzycnc_ros.graph.bring_up import NodeSpec
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos, subscription_qos
 from fuzzycnc_ros.runtime.component import LATCHED, STREAM, Durability

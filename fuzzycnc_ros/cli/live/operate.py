@@ -17,7 +17,7 @@ from fuzzycnc_ros.cli.options import node_parameters
 from fuzzycnc_ros.cli.quantities import quantity, signed_quantity
 from fuzzycnc_ros.core.names import visible
 from fuzzycnc_ros.core.units import LENGTHS, with_point
-from fuzzycnc_ros.ros.bring_up import machine_name
+from fuzzycnc_ros.graph.bring_up import machine_name
 from fuzzycnc_ros.ros.presence import GraphError
 
 if TYPE_CHECKING:

@@ -17,6 +17,7 @@ from rclpy.parameter import Parameter
 
 from fuzzycnc_msgs.action import TrainThermalModel
 from fuzzycnc_msgs.srv import ForgetThermalPosterior, SelectSensors, SetThermalReference
+from fuzzycnc_ros.files.uninterrupted import uninterrupted
 from fuzzycnc_ros.ros.lifecycle import REACHED
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.processes import prepare_environment
@@ -24,7 +25,6 @@ from fuzzycnc_ros.ros.topics import RCLPY, create_publisher, create_subscription
 from fuzzycnc_ros.runtime.component import Durability
 from fuzzycnc_ros.runtime.convert import decode, encode
 from fuzzycnc_ros.runtime.records import Record
-from fuzzycnc_ros.uninterrupted import uninterrupted
 
 DISCOVERY_TIMEOUT = 20.0
 """Wall time [s] until a node must be there."""

@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
-from fuzzycnc_ros.ros.bring_up import PAGE, NodeSpec, page_spec
+from fuzzycnc_ros.graph.bring_up import PAGE, NodeSpec, page_spec
 from fuzzycnc_ros.ros.parameter_files import sections
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.runtime.addresses import is_loopback

@@ -13,10 +13,10 @@ from rclpy.node import Node
 
 from fuzzycnc_ros.cli.console import check_new_folder
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
+from fuzzycnc_ros.graph.bring_up import PAGE, NodeSpec
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros.arguments import understood
 from fuzzycnc_ros.ros.bag_node import check_keeping
-from fuzzycnc_ros.ros.bring_up import PAGE, NodeSpec
 from fuzzycnc_ros.ros.parameters import ParameterError, declare
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.processes import RANGE, prepare_environment

@@ -15,7 +15,7 @@ from fuzzycnc_ros.cli.completion import node_names, some_of
 from fuzzycnc_ros.cli.console import say, words, write_text
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.ros.access import Access
+    from fuzzycnc_ros.graph.access import Access
 
 HELP = """Write access rights: each node may do what it needs, and nobody else anything.
 
@@ -80,8 +80,8 @@ def write(
 
         fuzzycnc security write policies --subscribe temperature_acquisition=/plc/spindle
     """
+    from fuzzycnc_ros.graph.access import PRETENDERS, TOOLS, access_of
     from fuzzycnc_ros.registry import COMPONENTS
-    from fuzzycnc_ros.ros.access import PRETENDERS, TOOLS, access_of
 
     machines = words([machine])
     wrong = [name for name in machines if not _NAMESPACE.fullmatch(name)]
@@ -121,7 +121,7 @@ def policy(machine: str, node: str, access: 'Access', outside: Sequence[str] = (
     outside : sequence of str
         Further topics that it may read, absolute names.
     """
-    from fuzzycnc_ros.ros.access import OPERATOR, Access
+    from fuzzycnc_ros.graph.access import OPERATOR, Access
 
     root = ElementTree.Element('policy', version=VERSION)
     enclaves = ElementTree.SubElement(root, 'enclaves')

@@ -26,7 +26,7 @@ from fuzzycnc_ros.cli.live.service_units import (
     record_unit,
     unit_name,
 )
-from fuzzycnc_ros.ros.bring_up import machine_name
+from fuzzycnc_ros.graph.bring_up import machine_name
 from fuzzycnc_ros.ros.presence import GraphError
 
 HELP = """Run a machine as a service of systemd: from boot on, watched, started anew.

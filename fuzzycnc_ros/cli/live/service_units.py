@@ -13,7 +13,7 @@ from pathlib import Path
 
 from fuzzycnc_ros.cli.live.supervision_run import ENDED_FIRST
 from fuzzycnc_ros.core.names import file_word
-from fuzzycnc_ros.ros.bring_up import ACTIVE_TIMEOUT, NODE_STOP, RECORDER_STOP
+from fuzzycnc_ros.graph.bring_up import ACTIVE_TIMEOUT, NODE_STOP, RECORDER_STOP
 
 MARK = '# Written by `fuzzycnc service install`, which writes it anew.'
 """First line of a unit, by which its writer knows it."""

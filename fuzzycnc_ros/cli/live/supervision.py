@@ -9,7 +9,7 @@ from enum import Enum
 from typing import Protocol
 
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses, node_title, process_name
-from fuzzycnc_ros.ros.bring_up import NodeSpec, RestartPolicy, again, stop_timeout
+from fuzzycnc_ros.graph.bring_up import NodeSpec, RestartPolicy, again, stop_timeout
 from fuzzycnc_ros.ros.presence import TIME_SOURCES, GraphError
 from fuzzycnc_ros.ros.processes import REFUSED
 

@@ -14,7 +14,7 @@ from fuzzycnc_ros.bags.recording_loss import LACKING, loss
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses, process_name
 from fuzzycnc_ros.cli.live.supervision import ProcessState, Supervised, Supervisor
 from fuzzycnc_ros.cli.live.supervision_view import ProcessView
-from fuzzycnc_ros.ros.bring_up import ACTIVE_TIMEOUT, RECORDER_STOP, NodeSpec
+from fuzzycnc_ros.graph.bring_up import ACTIVE_TIMEOUT, RECORDER_STOP, NodeSpec
 from fuzzycnc_ros.ros.presence import TIME_SOURCES, GraphError, Presence, at_work, in_the_way
 from fuzzycnc_ros.ros.service_manager import ServiceManager
 

@@ -24,7 +24,7 @@ from fuzzycnc_ros.cli.live.page_process import Page, page_process
 from fuzzycnc_ros.cli.live.supervision_run import check_free, supervise
 from fuzzycnc_ros.cli.options import DUTIES
 from fuzzycnc_ros.cli.terminal import Terminal
-from fuzzycnc_ros.ros.bring_up import (
+from fuzzycnc_ros.graph.bring_up import (
     BANNER,
     PAGE,
     THERMAL,

@@ -12,7 +12,7 @@ from rich.live import Live
 from fuzzycnc_ros.cli.console import JsonFile, check_folder, check_ros, write_json
 from fuzzycnc_ros.cli.live.watch_screen import HEIGHT, screen
 from fuzzycnc_ros.cli.terminal import Terminal
-from fuzzycnc_ros.ros.bring_up import machine_name
+from fuzzycnc_ros.graph.bring_up import machine_name
 from fuzzycnc_ros.ros.presence import GraphError
 
 if TYPE_CHECKING:

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar
 import typer
 
 from fuzzycnc_ros.bags.finding import NamedBag
-from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.cli.console import Tell, say
 from fuzzycnc_ros.cli.options import OptionalWhole, given
 from fuzzycnc_ros.cli.remedies import sentence
 from fuzzycnc_ros.core.remedies import RemediedError, remedied
+from fuzzycnc_ros.files.os_errors import os_sentence
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.cli.workers import Progress

@@ -15,8 +15,8 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
-from fuzzycnc_ros.bags.atomic import whole_file
 from fuzzycnc_ros.cli.console import check_folder
+from fuzzycnc_ros.files.atomic import whole_file
 from fuzzycnc_ros.ros.leftovers import TemporaryFolder
 from fuzzycnc_ros.ros.streams import is_dropped
 

@@ -13,10 +13,10 @@ from fuzzycnc_ros.cli.console import say
 from fuzzycnc_ros.cli.options import OptionalText, given
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.bags.yaml_file import Entry, YamlReading
     from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
     from fuzzycnc_ros.core.config import Config
     from fuzzycnc_ros.core.machine.path_loop import ContouringConfig
+    from fuzzycnc_ros.files.yaml_file import Entry, YamlReading
     from fuzzycnc_ros.simulation.controller.blends import ControllerLimits
 
     SomeConfig = TypeVar('SomeConfig', bound=Config)
@@ -121,12 +121,12 @@ def _of_machine_file(file: str) -> SchedulingMachine:
 
 def _of_parameter_file(path: Path | None) -> SchedulingMachine:
     """Read a ROS parameter file, as the nodes do."""
-    from fuzzycnc_ros.bags.yaml_file import YamlReading
     from fuzzycnc_ros.components.machine.simulated_machine_config import (
         SimulatedMachineConfig,
         contouring_config,
     )
     from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
+    from fuzzycnc_ros.files.yaml_file import YamlReading
 
     reading = YamlReading(
         path or Path(), f'a ROS parameter file with sections such as {_NODES[0]}', noun='parameter'

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fuzzycnc_ros.bags.atomic import whole_file
 from fuzzycnc_ros.cli.soft.compensate import PathCompensator
 from fuzzycnc_ros.core.deformation.stitch_design import PlacedRun, placed_design, run_path
+from fuzzycnc_ros.files.atomic import whole_file
 from fuzzycnc_ros.studies.soft.design_files import (
     bounds,
     check_written,

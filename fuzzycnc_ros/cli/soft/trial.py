@@ -66,9 +66,9 @@ def write_trial(
     """
     import numpy as np
 
-    from fuzzycnc_ros.bags.atomic import whole_file
     from fuzzycnc_ros.core.deformation.stitch_design import Design, StitchLengths, placed_design
     from fuzzycnc_ros.core.deformation.trial_lines import trial_plan, trial_runs
+    from fuzzycnc_ros.files.atomic import whole_file
     from fuzzycnc_ros.studies.soft.design_files import DesignFile, check_written, write_design
     from fuzzycnc_ros.studies.soft.sheet_marks import marks_around, printed_marks, write_marks
 
@@ -125,7 +125,7 @@ def simulate(
     """
     import numpy as np
 
-    from fuzzycnc_ros.bags.atomic import whole_file
+    from fuzzycnc_ros.files.atomic import whole_file
     from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
     from fuzzycnc_ros.studies.requirement import require
     from fuzzycnc_ros.studies.soft.rendered_photo import Camera, rendered_photo

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from fuzzycnc_ros.bags.os_errors import about
+from fuzzycnc_ros.files.os_errors import about
 from fuzzycnc_ros.studies.fleet.content import FileState
 from fuzzycnc_ros.studies.fleet.judging import BagResult, Document
 

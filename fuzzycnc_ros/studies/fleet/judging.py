@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fuzzycnc_ros.bags.errors import MissingLibraryError
-from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.runs import TEMPERATURES_TYPE, read_run
 from fuzzycnc_ros.core.names import text_hash
@@ -20,6 +19,7 @@ from fuzzycnc_ros.core.thermal.candidate import DEFAULT, UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.model import ThermalModel, load_model
 from fuzzycnc_ros.core.thermal.run import ThermalRun
 from fuzzycnc_ros.core.threads import single_threaded
+from fuzzycnc_ros.files.os_errors import os_sentence
 from fuzzycnc_ros.studies.fleet.content import FileState, content_hash, files_of, result_version
 from fuzzycnc_ros.studies.thermal.missing_readings import MATES, Bridged, judge_recorded
 

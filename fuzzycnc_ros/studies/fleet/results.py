@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from fuzzycnc_ros.bags.atomic import whole_file
+from fuzzycnc_ros.files.atomic import whole_file
 from fuzzycnc_ros.studies.requirement import require
 
 Row = dict[str, Any]

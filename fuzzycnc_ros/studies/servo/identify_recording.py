@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.files.os_errors import os_sentence
 
 SIZE_MAX = 500_000_000
 """Largest text file that is read [bytes]."""

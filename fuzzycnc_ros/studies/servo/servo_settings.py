@@ -84,9 +84,9 @@ def read_settings(path: Path) -> ServoSettings:
     ValueError
         If it is none; the message names the file and what is wrong.
     """
-    from fuzzycnc_ros.bags.yaml_file import YamlReading
     from fuzzycnc_ros.core.servo.axis_control import DISTURBANCE, UNIVERSES
     from fuzzycnc_ros.core.servo.rule_table import RuleTable
+    from fuzzycnc_ros.files.yaml_file import YamlReading
 
     wanted = "'settings' or 'rules', or both"
     reading = YamlReading(path, f'a file with {wanted}')

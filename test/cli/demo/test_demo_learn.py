@@ -5,9 +5,9 @@
 import pytest
 from rich.console import Console
 
-from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.cli.demo.learn import learn
 from fuzzycnc_ros.cli.demo.steps import progress_of
+from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.shift import learnt_days
 

@@ -8,8 +8,8 @@ from xml.etree import ElementTree
 
 import pytest
 
+from fuzzycnc_ros.graph.access import PRETENDERS, TOOLS
 from fuzzycnc_ros.registry import COMPONENTS
-from fuzzycnc_ros.ros.access import PRETENDERS, TOOLS
 
 NODES = [name for name in (*COMPONENTS, *TOOLS) if name not in PRETENDERS]
 FORM = {

@@ -14,7 +14,7 @@ from fuzzycnc_ros.cli.live.service_units import PAGE, passed_on, unit_name
 from fuzzycnc_ros.cli.live.supervision import ProcessState, Supervised
 from fuzzycnc_ros.cli.live.supervision_run import COMING_BACK, silent_nodes
 from fuzzycnc_ros.cli.main import run
-from fuzzycnc_ros.ros.bring_up import NODE_STOP, RECORDER_STOP, NodeSpec
+from fuzzycnc_ros.graph.bring_up import NODE_STOP, RECORDER_STOP, NodeSpec
 
 MODEL = 'a "good" $model 50%.json'
 """A name in which systemd sees more than letters."""

@@ -18,15 +18,16 @@ from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.cli.live.supervision import ProcessState, Supervisor
 from fuzzycnc_ros.cli.live.supervision_run import _end
 from fuzzycnc_ros.cli.live.supervision_view import ProcessView, row, table
-from fuzzycnc_ros.registry import COMPONENTS
-from fuzzycnc_ros.ros import bring_up, processes
-from fuzzycnc_ros.ros.bring_up import (
+from fuzzycnc_ros.graph import bring_up
+from fuzzycnc_ros.graph.bring_up import (
     RECORDER_STOP,
     THERMAL,
     NodeSpec,
     RestartPolicy,
     node_specs,
 )
+from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.ros import processes
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.runtime.component import Level
 

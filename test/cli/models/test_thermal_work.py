@@ -325,7 +325,7 @@ def test_replay_accepts_the_rounding_of_another_processor_and_says_so(fuzzycnc, 
     copy_with_another_error('shift', 'rounded', lambda error: error * (1.0 + 1e-13))
     assert fuzzycnc('replay', 'rounded').code == 1, 'the same arithmetic has no excuse'
     elsewhere = f'{arithmetic()} AVX9'
-    monkeypatch.setattr('fuzzycnc_ros.bags.replay.arithmetic', lambda: elsewhere)
+    monkeypatch.setattr('fuzzycnc_ros.replay.replay.arithmetic', lambda: elsewhere)
     outcome = fuzzycnc('replay', 'rounded', '--json', 'r.json')
     assert outcome.code == 0, outcome
     assert 'equal up to rounding' in outcome.out

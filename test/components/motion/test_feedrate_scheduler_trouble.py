@@ -362,7 +362,7 @@ def test_program_is_refused_where_it_cannot_be_served():
 def test_recorded_run_is_replayed_byte_for_byte(tmp_path):
     """With a request, changes of parameters, a feed hold and a deactivation on the way."""
     need_bag_libraries()
-    from fuzzycnc_ros.bags.replay import replay
+    from fuzzycnc_ros.replay.replay import replay
     from fuzzycnc_ros.studies.published_bag import PublishedBag
 
     rig = Rig()

@@ -379,7 +379,7 @@ def test_progress_tells_what_is_wanted_and_what_is():
 
 def test_recorded_goals_are_replayed_byte_for_byte(tmp_path):
     need_bag_libraries()
-    from fuzzycnc_ros.bags.replay import replay
+    from fuzzycnc_ros.replay.replay import replay
     from fuzzycnc_ros.studies.published_bag import PublishedBag
 
     rig = JointRig()

@@ -10,7 +10,6 @@ from bag_libraries import need_bag_libraries
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fuzzycnc_ros.bags.replay import replay
 from fuzzycnc_ros.components.machine.simulated_machine import (
     SimulatedMachine,
     SimulatedMachineConfig,
@@ -31,6 +30,7 @@ from fuzzycnc_ros.core.machine.machine_data import (
 from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS, make_axis_controller
 from fuzzycnc_ros.core.servo.profile import ProfileLimits, point_to_point
 from fuzzycnc_ros.machine_file.parameters import node_parameters
+from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.simulation.servo.axes import simulated_axis
 from fuzzycnc_ros.simulation.servo.positioning import position
 from fuzzycnc_ros.studies.published_bag import PublishedBag

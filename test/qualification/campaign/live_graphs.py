@@ -26,7 +26,7 @@ from fuzzycnc_ros.bags.metadata import storage_files
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.cli.live.operator_client import parameter_request, refusals
 from fuzzycnc_ros.cli.live.supervision import Supervisor
-from fuzzycnc_ros.ros.bring_up import NodeSpec, RestartPolicy, node_specs
+from fuzzycnc_ros.graph.bring_up import NodeSpec, RestartPolicy, node_specs
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.topics import create_subscription, publisher_qos, subscription_qos
 from fuzzycnc_ros.runtime.component import HISTORY

@@ -20,7 +20,7 @@ from campaign.relay import direct, durability
 from campaign.scenario import Stage
 from fuzzycnc_ros.core.deformation.model import write_model
 from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
-from fuzzycnc_ros.ros.bring_up import NodeSpec
+from fuzzycnc_ros.graph.bring_up import NodeSpec
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos
 from fuzzycnc_ros.runtime.convert import encode
 from fuzzycnc_ros.runtime.enums import ServoStatus

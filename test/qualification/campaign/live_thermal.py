@@ -17,8 +17,8 @@ from campaign.rogue_nodes import FALSE, STRANGER, Strangers, strange_word
 from campaign.scenario import Stage
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
+from fuzzycnc_ros.graph.bring_up import NodeSpec
 from fuzzycnc_ros.registry import COMPONENTS
-from fuzzycnc_ros.ros.bring_up import NodeSpec
 from fuzzycnc_ros.runtime.enums import CompensationState
 from fuzzycnc_ros.runtime.records import (
     SECOND,

@@ -15,7 +15,7 @@ from fuzzycnc_ros.components.servo.servo_controller_config import ServoControlle
 from fuzzycnc_ros.components.thermal.compensator import CompensatorConfig
 from fuzzycnc_ros.core.machine.axis_models import LatheAxisConfig
 from fuzzycnc_ros.core.servo.axis import LinearAxis
-from fuzzycnc_ros.ros.bring_up import THERMAL
+from fuzzycnc_ros.graph.bring_up import THERMAL
 
 LIMITS, MACHINE = CompensatorConfig(), SimulatedMachineConfig()
 SCHEDULER, SERVO = FeedrateSchedulerConfig(), ServoControllerConfig()

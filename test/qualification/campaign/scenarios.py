@@ -11,7 +11,7 @@ from campaign.moving import MOVING
 from campaign.relay import CLOCK
 from campaign.rogue_nodes import FALSE
 from campaign.scenario import BY_COMPENSATOR, BY_MACHINE, Ends, Scenario, Stage
-from fuzzycnc_ros.ros.bring_up import THERMAL
+from fuzzycnc_ros.graph.bring_up import THERMAL
 
 MACHINE = 'simulated_machine'
 ROUTES = {

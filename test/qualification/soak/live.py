@@ -17,7 +17,7 @@ from fuzzycnc_ros.cli.console import Tell
 from fuzzycnc_ros.cli.live.free_domain import own_domain
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
 from fuzzycnc_ros.cli.live.supervision_monitor import Monitor
-from fuzzycnc_ros.ros.bring_up import node_specs
+from fuzzycnc_ros.graph.bring_up import node_specs
 from fuzzycnc_ros.ros.presence import MACHINE, GraphError
 from soak.growth import held_by
 from soak.run import EVERY_TICK, TICK, SoakRun, soak_duties

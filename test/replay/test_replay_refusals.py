@@ -6,10 +6,10 @@ import json
 
 import pytest
 
-from fuzzycnc_ros.bags.replay import ReplayError, _SeriesEnd, replay
 from fuzzycnc_ros.bags.typestore import message_type
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.replay.replay import ReplayError, _SeriesEnd, replay
 from fuzzycnc_ros.runtime.convert import Target, encode
 from fuzzycnc_ros.runtime.host import NodeEvent
 from fuzzycnc_ros.runtime.provenance import configuration_record

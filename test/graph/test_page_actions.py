@@ -16,8 +16,8 @@ pytest.importorskip('rclpy', reason='rclpy is not installed here: run `make test
 from lifecycle_msgs.srv import GetState
 from processes import HANG, wait_for
 
-from fuzzycnc_ros.ros import page_actions
-from fuzzycnc_ros.ros.page_actions import Actions
+from fuzzycnc_ros.graph import page_actions
+from fuzzycnc_ros.graph.page_actions import Actions
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.runtime.host import FINALIZED
 

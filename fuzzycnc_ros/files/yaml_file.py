@@ -16,10 +16,10 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from fuzzycnc_ros.bags.os_errors import os_sentence
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.core.units import si_value
+from fuzzycnc_ros.files.os_errors import os_sentence
 
 SIZE_MAX = 1_000_000
 """Largest file that is read [bytes]; parameter files of all nodes together take 30,000."""

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fuzzycnc_ros.registry import COMPONENTS
-from fuzzycnc_ros.ros.bring_up import (
+from fuzzycnc_ros.graph.bring_up import (
     ADDED,
     LAUNCH_ARGUMENTS,
     THERMAL,
@@ -17,6 +16,7 @@ from fuzzycnc_ros.ros.bring_up import (
     launched,
     node_specs,
 )
+from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros.presence import MACHINE, GraphError
 
 ROOT = Path(__file__).parents[2]

@@ -22,7 +22,6 @@ import numpy as np
 
 from fuzzycnc_ros.bags.canonical import canonical_message, combined_hash, topic_hashes
 from fuzzycnc_ros.bags.errors import BagDataError
-from fuzzycnc_ros.bags.origins import REPLAYABLE, Origins
 from fuzzycnc_ros.bags.playback import stamp_of
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.recording_loss import publishers
@@ -33,6 +32,7 @@ from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.registry import COMPONENTS
+from fuzzycnc_ros.replay.origins import REPLAYABLE, Origins
 from fuzzycnc_ros.runtime.arithmetic import apart, arithmetic
 from fuzzycnc_ros.runtime.component import Component, Emission, Input
 from fuzzycnc_ros.runtime.convert import decode, encode

@@ -29,7 +29,7 @@ from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.bags.recording_loss import loss
 from fuzzycnc_ros.components.dashboard.machine_view import MachineView
 from fuzzycnc_ros.core.names import file_word, visible
-from fuzzycnc_ros.ros.bring_up import RECORDER_STOP
+from fuzzycnc_ros.graph.bring_up import RECORDER_STOP
 from fuzzycnc_ros.ros.lifecycle import REACHED
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.probing import check_unprobed, probe_record

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from fuzzycnc_ros.bags.atomic import (
+from fuzzycnc_ros.files.atomic import (
     SECRET_FILE,
     is_written_through,
     whole_file,

@@ -8,8 +8,8 @@ import resource
 
 import pytest
 
-from fuzzycnc_ros.bags.atomic import write_text
-from fuzzycnc_ros.bags.os_errors import about, os_sentence
+from fuzzycnc_ros.files.atomic import write_text
+from fuzzycnc_ros.files.os_errors import about, os_sentence
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from pathlib import Path
 from secrets import token_hex
 from typing import IO
 
-from fuzzycnc_ros.bags.os_errors import about
+from fuzzycnc_ros.files.os_errors import about
 
 NEW_FILE = 0o666
 """Permissions of a new file; the system takes off the mask of the process."""
