@@ -65,9 +65,13 @@ soak: setup ## The soak with options, see ARGS=--help
 	@$(ROS) '$(BIN)/python' test/qualification soak $(ARGS)
 
 .PHONY: hal
-hal: ## Build LinuxCNC's components into build/hal; needs halcompile
+hal: setup ## Build LinuxCNC's components into build/hal; needs halcompile
 	@command -v halcompile >/dev/null || { echo 'hal: expected halcompile but found none; Debian: apt-get install linuxcnc-uspace-dev'; exit 1; }
-	@mkdir -p build/hal && cp linuxcnc/*.comp linuxcnc/*.h build/hal && cd build/hal && halcompile --compile *.comp
+	@rm -rf build/hal && mkdir -p build/hal && cp linuxcnc/*.comp linuxcnc/*.h build/hal
+	@for kind in hal:fuzzycnc_axis_x plant:fuzzycnc_plant_x; do \
+	  $(ROS) '$(BIN)/fuzzycnc' servo export --machine-file ballscrew --to $${kind%:*} --out build/hal/$${kind#*:}.comp; done
+	@# one by one: halcompile keeps the options of a file for the next
+	@cd build/hal && for file in *.comp; do halcompile --compile $$file || exit 1; done
 
 .PHONY: bench
 bench: setup ## One table: speed beside libraries that do the same work; wants an idle computer

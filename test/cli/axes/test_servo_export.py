@@ -2,12 +2,31 @@
 # SPDX-License-Identifier: Apache-2.0
 """`fuzzycnc servo export`: one C file of an axis' controller."""
 
+import ctypes
 import re
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
+
+from fuzzycnc_ros.core.servo.built_in import built_in_controller
+from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
+
+
+class Cycle(ctypes.Structure):
+    """The structure of the example."""
+
+    _fields_ = (
+        ('enabled', ctypes.c_int),
+        *(
+            (name, ctypes.c_double)
+            for name in (
+                *('position', 'velocity', 'last', 'last_velocity'),
+                *('reading', 'torque_share'),
+            )
+        ),
+    )
 
 
 @pytest.fixture(autouse=True)
@@ -22,6 +41,37 @@ def test_file_repeats_its_recorded_steps(fuzzycnc):
     subprocess.run([*command, '-o', 'axis'], check=True)
     done = subprocess.run(['./axis'], capture_output=True, text=True, check=True)
     assert done.stdout.startswith('0 of 400 duties differ')
+
+
+def test_example_of_the_docs_follows_like_python(fuzzycnc, root):
+    """The cycle of the page, on a ramp whose commands are for the end of each period."""
+    words = ('servo', 'export', '--machine-file', 'ballscrew', '--out', 'axis_x.c')
+    assert fuzzycnc(*words).code == 0
+    page = (root / 'docs' / 'how-to' / 'servo-in-c.md').read_text()
+    Path('cycle.c').write_text(re.search('```c\n(.*?)```', page, re.S)[1])
+    flags = ['-std=c99', '-O2', '-Wall', '-Wextra', '-Werror', '-ffp-contract=off']
+    subprocess.run(
+        ['gcc', *flags, '-shared', '-fPIC', 'cycle.c', '-o', 'cycle.so', '-lm'], check=True
+    )
+    work = ctypes.CDLL('./cycle.so').work
+    controller, axis = built_in_controller('ballscrew'), BallscrewAxis()
+    cycle = Cycle(enabled=1)
+    controller.reset(axis.measure())
+    reference, speed = 0.0, 0.0
+    for step in range(600):
+        ahead = min(0.1, 1e-3 * step)
+        place = reference + 0.5e-3 * (speed + ahead)
+        cycle.position, cycle.velocity, cycle.reading = place, ahead, axis.measure()
+        rise = (ahead - speed) / 1e-3 if step else 0.0
+        duty = controller.step(reference, cycle.reading, speed if step else 0.0, rise)
+        work(ctypes.byref(cycle))
+        assert cycle.torque_share == duty, step
+        axis.drive(duty)
+        reference, speed = place, ahead
+    assert abs(reference - axis.position) < 2e-5
+    cycle.enabled = 0
+    work(ctypes.byref(cycle))
+    assert cycle.torque_share == 0.0
 
 
 def test_what_cannot_be_written_is_refused(fuzzycnc, refused):
