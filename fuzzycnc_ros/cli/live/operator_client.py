@@ -103,6 +103,10 @@ class OperatorClient:
         """Return True if another node publishes a topic of the machine, or an absolute one."""
         return self.node.count_publishers(topic) > 0
 
+    def publishers(self, topic: str) -> list[Any]:
+        """Return what is known of the publishers of an absolute topic."""
+        return list(self.node.get_publishers_info_by_topic(topic))
+
     def newest(self, record: type[Record], topic: str) -> Record:
         """Return the next record of a topic, the newest of a latched one.
 

@@ -26,6 +26,7 @@ DISCOVERED = 0.5
 """Wall time [s] after which the nodes of a running machine have been found."""
 LEARNING = ('learning', 'probe due', 'band', 'first activation')
 """Items that say how well the error is known, and what is followed of it."""
+NODE_CONFIGURATION = 'node_configuration'
 _SPIN = 0.1
 
 
@@ -75,6 +76,7 @@ class Monitor:
     def __init__(self, machines: Sequence[str]) -> None:
         self.views: dict[tuple[str, str], NodeView] = {}
         self._began = time.monotonic()
+        self._configurations = 0  # that have arrived
         self.operator = OperatorClient('')
         node = self.operator.node
         node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 1000)
@@ -87,7 +89,7 @@ class Monitor:
         for machine in machines:
             node.create_subscription(
                 message_class(NodeConfiguration.TYPE),
-                f'/{machine}/node_configuration',
+                f'/{machine}/{NODE_CONFIGURATION}',
                 self._configuration_handler(machine),
                 kept,
             )
@@ -104,16 +106,24 @@ class Monitor:
 
         On a busy computer nodes are found late: the first of them is waited for longer.  Among
         many processes they are found one after the other: those that live on this computer are
-        waited for.
+        waited for.  So is the configuration of a node that reports, which tells its state; of
+        several that are latched the newest comes last.
         """
-        own, heard = _living(machine), False
+        own, heard, untold = _living(machine), False, False
+        topic = f'/{machine}/{NODE_CONFIGURATION}'
         self.spin_until(DISCOVERED)
-        while self.age < (patience if heard else FIRST_HEARD):
+        while self.age < (patience if heard and not untold else FIRST_HEARD):
             known = own | {name for where, name in self.present() if where == machine}
-            reported = [self.view(machine, name).heard_at > 0.0 for name in known]
-            if reported and all(reported):
-                return
-            heard = heard or any(reported)
+            reported = {name for name in known if self.view(machine, name).heard_at > 0.0}
+            told = {info.node_name for info in self.operator.publishers(topic)}
+            untold = any(not self.view(machine, name).lifecycle for name in reported & told)
+            if known and reported == known and not untold:
+                break
+            heard = heard or bool(reported)
+            self.spin()
+        before = -1
+        while self._configurations > before and self.age < 2.0 * FIRST_HEARD:
+            before = self._configurations
             self.spin()
 
     def close(self) -> None:
@@ -160,6 +170,7 @@ class Monitor:
 
     def _configuration_handler(self, machine: str) -> Callable[[Any], None]:
         def on_configuration(message: Any) -> None:
+            self._configurations += 1
             view = self.view(machine, message.node)
             view.lifecycle = message.lifecycle_state
             view.was_active |= view.lifecycle == 'active'
