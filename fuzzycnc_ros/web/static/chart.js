@@ -4,7 +4,7 @@
 /* global uPlot */
 
 import {make, match, say} from './dom.js';
-import {moment, number, quantity} from './units.js';
+import {DATED, clock, moment, number, quantity} from './units.js';
 
 const HEIGHT = 260;
 /** Lines from which a plot is higher, and how high. */
@@ -157,7 +157,7 @@ export class Chart {
         focus: {prox: 24}, bind: {dblclick: () => () => this.zoom(null)},
       },
       focus: {alpha: 0.3},
-      axes: [{...axis, values: TIMES}, {...axis, size: 64, label: this.unit || ' ', labelFont: FONT, labelSize: 22,
+      axes: [{...axis, values: this.#data[0][0] < DATED ? (plot, ticks) => ticks.map(clock) : TIMES}, {...axis, size: 64, label: this.unit || ' ', labelFont: FONT, labelSize: 22,
         values: (plot, ticks) => ticks.map((value) => (
           String(Number(value.toPrecision(6))).replace('-', '\u2212')))}],
       hooks: {

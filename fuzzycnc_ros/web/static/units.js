@@ -76,11 +76,22 @@ export function bytes(count) {
   return quantity(size, units[at], at && size < 99.95 ? 1 : 0);
 }
 
+/** Stamps [s] below are no dates: simulated machines count from their start. */
+export const DATED = 1e9;
+
+const two = (value) => String(value).padStart(2, '0');
+
+/** Return a time since the start of a simulation [s] as hours, minutes and seconds. */
+export function clock(time) {
+  const whole = Math.floor(time);
+  return `${Math.floor(whole / 3600)}:${two(Math.floor(whole / 60) % 60)}:${two(whole % 60)}`;
+}
+
 /** Return a stamp [s since the epoch] as date and time of day of the reader. */
 export function moment(stamp) {
   if (!known(stamp)) return UNKNOWN;
+  if (stamp < DATED) return `${clock(stamp)}${GAP}h`;
   const at = new Date(stamp * 1000);
-  const two = (value) => String(value).padStart(2, '0');
   return `${at.getFullYear()}-${two(at.getMonth() + 1)}-${two(at.getDate())} `
     + `${two(at.getHours())}:${two(at.getMinutes())}:${two(at.getSeconds())}`;
 }
