@@ -12,9 +12,9 @@ from equipment.linuxcnc_machine import exclusive
 from fuzzycnc_ros.adapters.linuxcnc.axis_loop import PLANT, LoopController, axis_loop
 from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
 from fuzzycnc_ros.adapters.linuxcnc.simulation import Limits
-from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.core.servo.axis_control import make_axis_controller
 from fuzzycnc_ros.machine_file.reader import read_machine_file
+from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.studies.servo.c_export import hal_controller
 from fuzzycnc_ros.studies.servo.c_text import Origin
 from fuzzycnc_ros.studies.servo.linuxcnc_bag import write_axis_bag
