@@ -68,7 +68,7 @@ def edited(place, text, count=20):
         (edited((20, 0), '300'), r'line 21, .*a step of 30 s; import with --resample 15'),
         (edited((3, 0), '35'), r'line 4, .*even steps of 15 s but found a step of 20'),
         (edited((5, 1), '390'), r"line 6, column 'a': expected -20 to 120 degC but found 390"),
-        (edited((5, 3), '700'), r"line 6, column 'ch': .*up to 500 um but found 700 um; in nm"),
+        (edited((5, 3), '700'), r"line 6, column 'ch': .*up to 500 µm but found 700 µm; in nm"),
         ([*rows(), ['1', '2']], r'line 22: expected 4 columns as in the header but found 2'),
         ('t,a,b,ch\n"1' + '0' * 200_000 + '"', r'line 2: expected CSV but found field larger'),
     ],
@@ -158,10 +158,10 @@ def warming(unit_scale):
 @pytest.mark.parametrize(
     ('file_unit', 'mapped', 'complaint'),
     [
-        (1e-6, 'mm', r'found \d+ um; in um the largest would be 45 um'),
-        (1e-6, 'm', r'in um the largest would be 45 um'),
-        (1e-3, 'um', r'they are not in um: check the unit \(in mm the largest would be 45 um\)'),
-        (1e-9, 'um', r'in nm the largest would be 45 um'),
+        (1e-6, 'mm', r'found \d+ µm; in um the largest would be 45 µm'),
+        (1e-6, 'm', r'in um the largest would be 45 µm'),
+        (1e-3, 'um', r'they are not in um: check the unit \(in mm the largest would be 45 µm\)'),
+        (1e-9, 'um', r'in nm the largest would be 45 µm'),
     ],
 )
 def test_length_unit_mixed_up(importing, file_unit, mapped, complaint):

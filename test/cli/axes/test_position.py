@@ -103,7 +103,7 @@ def test_settings_of_a_file(fuzzycnc, tmp_path):
         (('--to', 'far'), ['--to', "'far'", 'mm']),
         (('--to', 'nanmm'), ['--to', "'nanmm'"]),
         (('--to', '300mm'), ['--to', '250 mm', 'travel', "'300mm'"]),
-        (('--to', '0mm'), ['--to', '1 um']),
+        (('--to', '0mm'), ['--to', '1 µm']),
         (('--to', '5mm', '--axis', 'mill'), ['--axis', 'lathe, ballscrew', "'mill'"]),
         (
             ('--to', '5mm', '--controller', 'magic'),

@@ -77,5 +77,5 @@ def test_offsets_are_for_one_track_on_one_material():
     assert read_offsets(write_offsets(earlier)).mismatch('square', 'foam', 20e-3, NOMINAL) == ''
     moved = NOMINAL.copy()
     moved[1, 1] += 5e-6
-    assert 'number 1 lies 5 um' in OFFSETS.mismatch('square', 'foam', 15e-3, moved)
+    assert 'number 1 lies 5 µm' in OFFSETS.mismatch('square', 'foam', 15e-3, moved)
     assert 'other points' in OFFSETS.mismatch('square', 'foam', 15e-3, NOMINAL * np.nan)

@@ -61,7 +61,7 @@ def test_arrays_are_copies_that_nobody_can_change():
         ({'axis': ('Y',)}, 'one axis per channel'),
         ({'temperature': with_value(make().temperature, 3, 1, 121.0)}, "121 of sensor 'T2'"),
         ({'temperature': with_value(make().temperature, 3, 1, np.inf)}, "inf of sensor 'T2'"),
-        ({'displacement': with_value(make().displacement, 5, 0, 0.0128)}, '12800 um.*mixed up'),
+        ({'displacement': with_value(make().displacement, 5, 0, 0.0128)}, '12800 µm.*mixed up'),
     ],
 )
 def test_refusals_say_what_and_where(changes, message):
