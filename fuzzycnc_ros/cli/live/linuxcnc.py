@@ -97,7 +97,7 @@ def check(ini: Ini) -> None:
         raise typer.Exit(1)
 
 
-def feed(
+def follow(
     program: Annotated[
         Path, typer.Argument(metavar='PROGRAM', help='Part program that LinuxCNC has loaded.')
     ],
@@ -156,4 +156,4 @@ def feed(
         raise ValueError(done.stderr.strip().splitlines()[-1] if done.stderr else 'it ended')
 
 
-COMMANDS: dict[str, Callable[..., Any]] = {'install': install, 'check': check, 'feed': feed}
+COMMANDS: dict[str, Callable[..., Any]] = {'install': install, 'check': check, 'feed': follow}
