@@ -22,7 +22,6 @@ ROOT = Path(__file__).parents[2]
 PAGES = (ROOT / 'README.md', *sorted((ROOT / 'docs').rglob('*.md')))
 ELSEWHERE = {
     'demo --scenario linuxcnc': 'needs LinuxCNC: test/qualification runs it',
-    'linuxcnc feed ': 'the same, test/adapters/linuxcnc and cli/live',
     'demo --scenario shift': 'takes minutes: test/graph runs a short one',
     'import-csv spindle_thermal.csv': 'a recording of others: test/cli/models runs it',
     'train spindle ': 'the same',

@@ -173,7 +173,7 @@ def drive(
     )
 
 
-def feed(
+def follow(
     program: Annotated[
         Path, typer.Argument(metavar='PROGRAM', help='Part program that LinuxCNC has loaded.')
     ],
@@ -236,5 +236,5 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     'install': install,
     'check': check,
     'drive': drive,
-    'feed': feed,
+    'feed': follow,
 }
