@@ -42,7 +42,7 @@ _INSTEAD = {
     '': 'where rosbag2 compressed whole files or single messages, convert the bag with '
     '`ros2 bag convert` first',
     '.csv': 'make a bag of the table with `fuzzycnc import-csv`',
-    '.json': 'a model file stands behind --model',
+    '.json': 'a model file is no bag: give it as the model',
 }
 """What helps, by the ending of a file that is no bag."""
 

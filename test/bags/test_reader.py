@@ -332,7 +332,7 @@ def test_hostile_metadata_is_refused(small_bag, content, complaint):
         ('a.db3', b'no database' * 100, 'sqlite3 bag'),
         ('a.bag', b'#ROSBAG V2.0\n', 'ros2 bag convert'),
         ('a.csv', b't,t1\n', 'fuzzycnc import-csv'),
-        ('a.json', b'{}', 'behind --model'),
+        ('a.json', b'{}', 'give it as the model'),
     ],
 )
 def test_no_bag_is_refused(tmp_path, name, content, complaint):

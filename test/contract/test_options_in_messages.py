@@ -28,8 +28,9 @@ COMMAND = re.compile(r'fuzzycnc((?: [a-z][a-z0-9-]*)+)(?:\\\n|[^`;\n])*')
 OTHERS = (
     *('--ros-args', '--params-file', '--param', '--nthreads'),
     *('--install', '--print-modinc'),  # of halcompile
+    *('--bar', '--hue'),  # variables of a style sheet
 )
-"""Options of programs that are not ours: ROS nodes and `dask worker`."""
+"""No options of our commands: those of ROS nodes and `dask worker`, and what only looks so."""
 
 OF_NODES = '--machine-file'
 """Option that the executables of nodes take beside those of ROS."""

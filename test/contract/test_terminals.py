@@ -11,6 +11,7 @@ PRINTS = {
     'cli/console.py': 'lines and tables',
     'cli/progress_lines.py': 'progress',
     'cli/application.py': 'errors',
+    'adapters/linuxcnc/feed_process.py': 'lines of a process under the Python of LinuxCNC',
     'ros/run.py': 'errors of nodes',
     'nodes/dashboard.py': 'where the page is, and the token at its first start',
     'nodes/player.py': 'JSON',
