@@ -44,7 +44,7 @@ _INSTEAD = {
     '.csv': 'make a bag of the table with `fuzzycnc import-csv`',
     '.json': 'a model file is no bag: give it as the model',
 }
-"""What helps, by the ending of a file that is no bag."""
+"""Remedies by the ending of a file that is no bag."""
 
 _OPEN_MAX = 64
 """Most storage files that are open at once; a bag of a year has more than a process may open."""

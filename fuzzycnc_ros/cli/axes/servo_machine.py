@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.core.machine.machine_data import AxisData, MachineData
     from fuzzycnc_ros.core.servo.controller import AxisController
     from fuzzycnc_ros.simulation.servo.axis_tuning import TunedController
-    from fuzzycnc_ros.studies.servo.c_text import Origin
+    from fuzzycnc_ros.studies.servo.c_text import ExportOrigin
 
 
 @dataclass(frozen=True)
@@ -157,11 +157,11 @@ def exported_plant(file: str, axis: str, data: AxisData, component: str) -> str:
     return hal_plant(data.known_plant(), origin)
 
 
-def _origin(file: str, axis: str, data: AxisData, name: str, title: str) -> Origin:
+def _origin(file: str, axis: str, data: AxisData, name: str, title: str) -> ExportOrigin:
     from fuzzycnc_ros.core.machine.machine_data import axis_hash
-    from fuzzycnc_ros.studies.servo.c_text import Origin
+    from fuzzycnc_ros.studies.servo.c_text import ExportOrigin
 
-    return Origin(name, title, Path(file).name, axis_hash(axis, data))
+    return ExportOrigin(name, title, Path(file).name, axis_hash(axis, data))
 
 
 def analysed_controller(

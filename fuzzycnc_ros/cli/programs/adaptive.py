@@ -11,7 +11,7 @@ from fuzzycnc_ros.cli.programs.program_files import STREAM, new_program, read_te
 from fuzzycnc_ros.cli.programs.scheduling_machine import SchedulingMachine, controller_limits
 
 AS = ('words', 'adaptive')
-"""How feeds reach the controller."""
+"""Ways in which feeds reach the controller."""
 
 NOTES = 8
 """Notes that are printed."""

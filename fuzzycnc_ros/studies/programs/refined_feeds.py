@@ -23,7 +23,7 @@ FALL, RISE = 0.7, 0.5
 FALL_MOST, RISE_MOST = 0.3, 1.5
 """Factors of a feed in a round at most [-]."""
 BEHIND = 0.7
-"""What was commanded this long before an error counts as its cause, in delays of the machine."""
+"""Lead of the command that counts as the cause of an error, in delays of the machine."""
 SETTLED = 0.95
 """Error over tolerance from which feeds no longer rise [-]."""
 AIM = 0.97
@@ -33,7 +33,7 @@ ROUNDS, ROUNDS_DOWN = 24, 8
 
 
 @dataclass(frozen=True, eq=False)
-class Refined:
+class RefinedFeeds:
     """Feeds that were found for a program.
 
     Attributes
@@ -56,7 +56,7 @@ def refine(
     limits: ControllerLimits,
     machine: ContouringConfig,
     longest: float = np.inf,
-) -> Refined:
+) -> RefinedFeeds:
     """Lower the feed of each block until the contour error keeps a tolerance, and not further.
 
     In each round the program is simulated; feeds fall where the error that they cause is too
@@ -77,7 +77,7 @@ def refine(
 
     Returns
     -------
-    Refined
+    RefinedFeeds
         The fastest that keeps the tolerance, or else that with the least error.
     """
     plain = moves.moves
@@ -98,7 +98,7 @@ def refine_parts(
     tolerance: float,
     machine: ContouringConfig,
     longest: float = np.inf,
-) -> Refined:
+) -> RefinedFeeds:
     """Refine the feeds of parts of a path; see `refine`.
 
     Parameters
@@ -115,11 +115,11 @@ def refine_parts(
         As in `refine`.
     """
     feed = own.copy()
-    best: Refined | None = None
+    best: RefinedFeeds | None = None
     for number in range(ROUNDS):
         found = run(feed)
         judged = found.judged
-        now = Refined(feed, judged.duration, judged.error)
+        now = RefinedFeeds(feed, judged.duration, judged.error)
         if best is None or _rank(now, tolerance) < _rank(best, tolerance):
             best = now
         if judged.duration > longest:
@@ -138,7 +138,7 @@ def refine_parts(
     return best
 
 
-def _rank(one: Refined, tolerance: float) -> tuple[bool, float]:
+def _rank(one: RefinedFeeds, tolerance: float) -> tuple[bool, float]:
     kept = one.error <= tolerance
     return not kept, one.duration if kept else one.error
 

@@ -1,6 +1,6 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""What five papers print, beside what the same method does on the simulated machines here."""
+"""Figures of five papers beside those of the same methods on the simulated machines here."""
 
 from __future__ import annotations
 

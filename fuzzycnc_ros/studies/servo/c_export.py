@@ -18,7 +18,7 @@ from fuzzycnc_ros.core.servo.variable_universe import (
     VariableUniverseController,
 )
 from fuzzycnc_ros.studies.servo.c_text import (
-    Origin,
+    ExportOrigin,
     number,
     portable_numbers,
     rendered,
@@ -28,7 +28,7 @@ RECORDED = 400
 """Steps of the self-test."""
 
 
-def c_controller(controller: AxisController, origin: Origin) -> str:
+def c_controller(controller: AxisController, origin: ExportOrigin) -> str:
     """Return a controller as a C99 file; a copy of its state is not part of it.
 
     Raises
@@ -40,7 +40,7 @@ def c_controller(controller: AxisController, origin: Origin) -> str:
     return rendered('controller.c', _values(controller), origin, scope='', recorded=recorded)
 
 
-def hal_controller(controller: AxisController, origin: Origin) -> str:
+def hal_controller(controller: AxisController, origin: ExportOrigin) -> str:
     """Return a controller as a component of LinuxCNC's HAL, the source that halcompile takes.
 
     Raises

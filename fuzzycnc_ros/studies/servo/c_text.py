@@ -12,7 +12,7 @@ from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.studies.requirement import require
 
 
-class Origin(NamedTuple):
+class ExportOrigin(NamedTuple):
     """Name, header and hash of an exported file.
 
     Attributes
@@ -31,7 +31,7 @@ class Origin(NamedTuple):
     machine_hash: str
 
 
-def rendered(template: str, values: dict[str, Any], origin: Origin, **more: Any) -> str:
+def rendered(template: str, values: dict[str, Any], origin: ExportOrigin, **more: Any) -> str:
     """Return a template filled in.
 
     Raises

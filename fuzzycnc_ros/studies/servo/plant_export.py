@@ -16,10 +16,10 @@ from fuzzycnc_ros.simulation.servo.axes import (
     drive_keep,
     substep_shares,
 )
-from fuzzycnc_ros.studies.servo.c_text import Origin, number, portable_numbers, rendered
+from fuzzycnc_ros.studies.servo.c_text import ExportOrigin, number, portable_numbers, rendered
 
 
-def hal_plant(plant: PlantConfig, origin: Origin) -> str:
+def hal_plant(plant: PlantConfig, origin: ExportOrigin) -> str:
     """Return an axis as a component of LinuxCNC's HAL, the source that halcompile takes.
 
     Raises
@@ -30,7 +30,7 @@ def hal_plant(plant: PlantConfig, origin: Origin) -> str:
     return rendered('plant.comp', _values(plant), origin, scope='static ')
 
 
-def c_plant(plant: PlantConfig, origin: Origin) -> str:
+def c_plant(plant: PlantConfig, origin: ExportOrigin) -> str:
     """Return an axis as C99, for a simulation of your own.
 
     Raises

@@ -16,7 +16,7 @@ from fuzzycnc_ros.core.servo.axis_control import make_axis_controller
 from fuzzycnc_ros.machine_file.reader import read_machine_file
 from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.studies.servo.c_export import hal_controller
-from fuzzycnc_ros.studies.servo.c_text import Origin
+from fuzzycnc_ros.studies.servo.c_text import ExportOrigin
 from fuzzycnc_ros.studies.servo.linuxcnc_bag import write_axis_bag
 from fuzzycnc_ros.studies.servo.plant_export import hal_plant
 
@@ -39,7 +39,7 @@ def linuxcnc():
 def looped(machine, law, in_use=HASH):
     """Return a LinuxCNC with an axis of a built-in machine under a law."""
     data = read_machine_file(machine).axes['X']
-    origin = Origin(NAME, law, machine, HASH)
+    origin = ExportOrigin(NAME, law, machine, HASH)
     own = LoopController(
         NAME,
         hal_controller(make_axis_controller(data, law), origin),

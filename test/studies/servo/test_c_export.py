@@ -19,7 +19,7 @@ from fuzzycnc_ros.core.servo.variable_universe import (
     VariableUniverseController,
 )
 from fuzzycnc_ros.studies.servo.c_export import c_controller
-from fuzzycnc_ros.studies.servo.c_text import Origin
+from fuzzycnc_ros.studies.servo.c_text import ExportOrigin
 
 COMPILERS = [name for name in ('gcc', 'clang') if shutil.which(name)]
 LAWS = ('pid', 'pid ballscrew', 'cascade', 'rules', 'ballscrew rules', 'tangent')
@@ -52,7 +52,7 @@ def make(law):
 
 
 def text_of(controller):
-    return c_controller(controller, Origin('axis', 'Test', 'a test', '0123456789abcdef'))
+    return c_controller(controller, ExportOrigin('axis', 'Test', 'a test', '0123456789abcdef'))
 
 
 class Compiled:

@@ -12,10 +12,10 @@ import pytest
 
 from fuzzycnc_ros.machine_file.reader import read_machine_file
 from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, LatheAxis
-from fuzzycnc_ros.studies.servo.c_text import Origin
+from fuzzycnc_ros.studies.servo.c_text import ExportOrigin
 from fuzzycnc_ros.studies.servo.plant_export import c_plant
 
-ORIGIN = Origin('axis', 'Test', 'a test', '0123456789abcdef')
+ORIGIN = ExportOrigin('axis', 'Test', 'a test', '0123456789abcdef')
 SWINGS = {'mode': 60.0, 'mode_ratio': 2.0, 'drive_lag': 2e-3, 'delay': 1.4e-3, 'direction': -1.0}
 RUBS = {'stribeck_velocity': 2e-3, 'breakaway_ratio': 1.5, 'backlash': 5e-6}
 ENCODER = {'sensor': 'encoder', 'backlash': 1e-5, 'delay': 2e-3}
