@@ -109,7 +109,7 @@ def manual(text: str) -> str:
 _SETTINGS = {'help_option_names': ['-h', '--help']}
 
 
-class _Group(TyperGroup):
+class _CommandGroup(TyperGroup):
     """Commands; of one that does not exist the nearest are proposed, whatever typer does."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
@@ -155,7 +155,7 @@ class Application:
         self._alone = alone
         self.renamed = renamed
 
-        class InOrder(_Group):
+        class InOrder(_CommandGroup):
             """Lists commands in their order, under headings, and loads one when it is used."""
 
             _listing = False
@@ -323,7 +323,9 @@ def _add(to: typer.Typer, commands: Mapping[str, Callable[..., Any] | CommandGro
         # The whole first paragraph: typer would cut it at 45 characters.
         short = ' '.join(text.split('\n\n')[0].split())
         if isinstance(command, CommandGroup):
-            group = typer.Typer(cls=_Group, rich_markup_mode=None, context_settings=_SETTINGS)
+            group = typer.Typer(
+                cls=_CommandGroup, rich_markup_mode=None, context_settings=_SETTINGS
+            )
             _add(group, command.commands)
             to.add_typer(group, name=name, help=text, short_help=short)
         else:

@@ -141,13 +141,13 @@ def _chain(
 ) -> Commanded:
     """Return what is commanded from one rest to the next, and while it stands there."""
     plan = Plan(moves, corners, limits)
-    shares = None if adaptive is None else _Shares(moves, plan.found, adaptive)
+    shares = None if adaptive is None else _SharesInForce(moves, plan.found, adaptive)
     run = _PlannerRun(plan, moves.rest.tolist(), limits, shares)
     position, place = _evaluated(moves, plan, run, limits.period)
     return Commanded(position, place, limits.period * len(place))
 
 
-class _Shares:
+class _SharesInForce:
     """Feed shares by the way inside segments, behind the component that writes them."""
 
     def __init__(self, moves: Moves, found: list[PlannedPart], adaptive: FeedShare) -> None:
@@ -201,7 +201,11 @@ class _PlannerRun:
     """
 
     def __init__(
-        self, plan: Plan, rest: list[float], limits: ControllerLimits, shares: _Shares | None
+        self,
+        plan: Plan,
+        rest: list[float],
+        limits: ControllerLimits,
+        shares: _SharesInForce | None,
     ) -> None:
         self._plan, self._found, self._shares = plan, plan.found, shares
         self._period, self._ramp_time = limits.period, limits.ramp_time
