@@ -115,7 +115,7 @@ COMMANDS: Commands = {
     'linuxcnc': LazyCommand(
         'Run',
         'fuzzycnc_ros.cli.live.linuxcnc',
-        'Install and check what a LinuxCNC needs for offsets along its axes.',
+        'Install and check what a LinuxCNC needs for offsets, axis controllers and feed shares.',
     ),
     'watch': LazyCommand(
         'Run',

@@ -73,7 +73,9 @@ such as 0.01mm
     return _quantity(option, text, text, units, example, zero)
 
 
-def signed_quantity(option: str, text: str, units: Mapping[str, float], *, example: str) -> float:
+def signed_quantity(
+    option: str, text: str, units: Mapping[str, float], *, example: str, zero: bool = True
+) -> float:
     """Return a number with its unit and sign in SI; all else as `quantity`.
 
     Examples
@@ -87,7 +89,7 @@ def signed_quantity(option: str, text: str, units: Mapping[str, float], *, examp
     """
     plain = text.strip()
     sign = -1.0 if plain.startswith('-') else 1.0
-    return sign * _quantity(option, text, plain.removeprefix('-'), units, example, True)
+    return sign * _quantity(option, text, plain.removeprefix('-'), units, example, zero)
 
 
 def _quantity(

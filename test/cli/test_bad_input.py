@@ -105,7 +105,7 @@ def test_csv_with_duplicate_sensor_names(refused, table):
 
 def test_csv_in_mm_instead_of_um(refused, table):
     options = [*IMPORT[:-1], 'dz=Z:mm']
-    naming = ['log.csv', "'dz'", '500 um', 'in um']
+    naming = ['log.csv', "'dz'", '500 µm', 'in um']
     refused('import-csv', table(), '--out', 'b', *options, naming=naming)
 
 

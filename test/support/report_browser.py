@@ -190,6 +190,7 @@ def check(reader: Reader, page: Path, themes: tuple[str, ...] = ('light', 'dark'
             assert found['page'] <= found['window'] == width, (theme, found)
             assert not (width == SIZES[0] and found['wide']), found
             assert found['live'] == found['declared'], found
-            assert reader.complaints() == []
+            complaints = reader.complaints()
+            assert not complaints, complaints
             ink.add(found['ink'])
     assert len(ink) == len(themes)

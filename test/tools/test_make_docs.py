@@ -6,7 +6,7 @@ import runpy
 from pathlib import Path
 
 import pytest
-from rules import for_each
+from each_case import for_each
 
 ROOT = Path(__file__).parents[2]
 DOCS = runpy.run_path(str(ROOT / 'tools' / 'make_docs.py'))

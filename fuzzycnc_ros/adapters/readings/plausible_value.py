@@ -43,7 +43,7 @@ def reading_of(
 
     Examples
     --------
-    >>> reading_of(Channel(name='T1', scale=0.1), 215, 'line', '')
+    >>> reading_of(DeviceChannel(name='T1', scale=0.1), 215, 'line', '')
     21.5
     """
     # A document may hold a whole number that no float takes.

@@ -54,11 +54,11 @@ def machine_axis(file: str, axis: str) -> tuple[MachineData, str, AxisData]:
         )
     if axis and axis not in known:
         raise ValueError(
-            f'axis: expected one of {", ".join(known)}, which have a model in {file}, but '
+            f'--axis: expected one of {", ".join(known)}, which have a model in {file}, but '
             f'found {axis!r}'
         )
     if not axis and len(known) > 1:
-        raise ValueError(f'axis: expected one of {", ".join(known)} but found none')
+        raise ValueError(f'--axis: expected one of {", ".join(known)} but found none')
     name = axis or known[0]
     data = machine.axes[name]
     if data.knowledge.not_fit_for_control:

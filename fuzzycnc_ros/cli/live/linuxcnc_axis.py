@@ -27,6 +27,7 @@ from fuzzycnc_ros.cli.axes.servo_machine import (
 from fuzzycnc_ros.cli.live.linuxcnc_configuration import Finding, hal_files, joint_of
 from fuzzycnc_ros.core.machine.machine_data import AxisData, axis_hash
 from fuzzycnc_ros.machine_file.linuxcnc_ini import read_sections
+from fuzzycnc_ros.machine_file.reader import read_machine_file
 from fuzzycnc_ros.studies.servo.linuxcnc_bag import UNIT, write_axis_bag
 
 MACHINE_FILE, HASH = 'FUZZYCNC_MACHINE_FILE', 'FUZZYCNC_MACHINE_HASH'
@@ -120,9 +121,12 @@ def check_axes(ini: Path) -> Iterator[Finding]:
         given = section[MACHINE_FILE][0]
         file = str(ini.parent / given) if (ini.parent / given).exists() else given
         try:
-            _, _, data = machine_axis(file, axis)
+            data = read_machine_file(file).axes.get(axis)
         except ValueError as error:
             yield Finding(f'axis {axis}', False, str(error))
+            continue
+        if data is None:
+            yield Finding(f'axis {axis}', False, f'{file} has no axis {axis}')
             continue
         yield _export_of(ini, file, axis, data, section.get(HASH, ('', 0))[0])
         yield _connections(ini, axis)

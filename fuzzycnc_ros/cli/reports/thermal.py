@@ -225,7 +225,7 @@ def _distances(texts: Sequence[str] | None) -> dict[str, float]:
     for axis, text in _pairs('--distance', texts, 'X=100mm').items():
         if axis not in ('X', 'Y'):
             raise ValueError(f'--distance: expected axis X or Y but found {axis!r}')
-        found[axis] = signed_quantity('--distance', text, LENGTHS, example='X=100mm')
+        found[axis] = signed_quantity('--distance', text, LENGTHS, example='X=100mm', zero=False)
     return found
 
 

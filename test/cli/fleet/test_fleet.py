@@ -70,7 +70,6 @@ def test_from_bags_to_a_page(fuzzycnc, archive):
     shown = fuzzycnc('fleet', 'report', 'shop.parquet', '--out', 'shop.html', '--json', 'r.json')
     assert shown.code == 0, shown
     assert 'fewer than 8 bags' in shown.out
-    assert 'All were judged' in shown.out
     assert len(read_json('r.json')['drifts']) == 4
     assert 'The machines of a shop' in Path('shop.html').read_text()
 
