@@ -74,7 +74,7 @@ def test_demo(fuzzycnc, tmp_path):
         f'{np.degrees(document["tracks"][0]["methods"]["nts"]["angle_error"]):.2f}' in outcome.out
     )
     assert '5.09' in outcome.out
-    assert (tmp_path / 'p.html').read_text().count('<svg') == 3
+    assert (tmp_path / 'p.html').read_text().count('<figure ') == 3
 
 
 @pytest.mark.slow
@@ -103,7 +103,7 @@ def test_train_on_a_table(fuzzycnc, tmp_path, samples):
     model = read_model((tmp_path / 'm.json').read_text())
     assert np.sqrt(np.mean((model.predict(samples.x[keep]) - samples.s[keep]) ** 2)) < 0.3
     assert not model.accepts(samples.x[~keep]).any()
-    assert '<svg' in (tmp_path / 'p.html').read_text()
+    assert '<figure ' in (tmp_path / 'p.html').read_text()
 
 
 @pytest.mark.slow
