@@ -47,6 +47,9 @@ Less than `NODE_STOP`: who is killed by then has not told how it ended."""
 NO_MEMORY = 1
 """Exit code of a node that gets no more memory: started again it begins with little."""
 
+UNCONVERTED = 'Unable to convert call argument'
+"""Words of pybind11 where rclpy got no memory for a message: the MemoryError itself is lost."""
+
 
 def tell_error(error: object) -> None:
     """Write a line on standard error."""
@@ -160,9 +163,12 @@ def _spin(
     except MemoryError:
         tell_error(_no_memory())
         failed = NO_MEMORY
-    except Exception:
+    except Exception as error:
+        if UNCONVERTED in str(error):
+            tell_error(_no_memory())
+            failed = NO_MEMORY
         # What became of a wish that was raised in a callback that hung.
-        if not wish.number:
+        elif not wish.number:
             raise
     finally:
         manager.stopping()
