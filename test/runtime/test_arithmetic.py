@@ -31,7 +31,11 @@ def test_a_configuration_says_what_its_node_computes_with():
     assert apart([told, told], arithmetic()) == ''
 
 
-@pytest.mark.parametrize('setting', [{'OPENBLAS_CORETYPE': 'Prescott'}, C_LIBRARY])
+# A BLAS that is older than the processor takes the least kernel for it by itself.
+OTHER_KERNEL = 'Nehalem' if 'kernel=Prescott' in arithmetic() else 'Prescott'
+
+
+@pytest.mark.parametrize('setting', [{'OPENBLAS_CORETYPE': OTHER_KERNEL}, C_LIBRARY])
 def test_other_instructions_are_another_kind_of_processor(setting):
     if 'kernel= ' in arithmetic() and 'OPENBLAS_CORETYPE' in setting:
         pytest.skip('numpy computes with another BLAS here')
