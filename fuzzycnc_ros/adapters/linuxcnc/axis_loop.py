@@ -11,12 +11,9 @@ from __future__ import annotations
 
 import contextlib
 import subprocess
-import tempfile
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from shutil import rmtree
 
 import numpy as np
 
@@ -31,6 +28,7 @@ from fuzzycnc_ros.adapters.linuxcnc.simulation import (
     LinuxcncSimulation,
     exclusive,
     ini_text,
+    own_folder,
 )
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.ros.processes import child_set_up
@@ -47,7 +45,6 @@ _TYPES = {'enable': 'b', 'fault-code': 's', 'time': 's'}  # others are floats
 _SAMPLES = 20  # that HAL takes
 _DEPTH = 16000  # samples that HAL keeps while nobody reads them
 _DRAIN = 30.0  # time that their reader has to take the last ones [s]
-_IDLE = 0.3  # of a program that is over: on a busy computer it seems so for a moment [s]
 _FERROR = 20.0  # of which a loop that has gone wrong is stopped [mm]
 
 
@@ -147,13 +144,7 @@ class AxisLoop(LinuxcncSimulation):
             If it takes longer, or LinuxCNC ends it.
         """
         self.run(self.write_program('program', text))
-        begun = idle = time.monotonic()
-        while time.monotonic() < idle + _IDLE:
-            if self.state()['running']:
-                idle = time.monotonic()
-            if idle > begun + timeout:
-                raise LinuxcncError(f'the program still runs after {timeout:g} s')
-            time.sleep(0.02)
+        self.wait_for_end(timeout)
 
     def samples(self) -> dict[str, Array]:
         """End the recording and return it.
@@ -255,8 +246,7 @@ def axis_loop(
     """
     sources = {PLANT: plant, **{one.name: one.source for one in controllers if one.source}}
     with exclusive(), contextlib.ExitStack() as ending:
-        folder = Path(tempfile.mkdtemp(prefix='fuzzycnc-linuxcnc-'))
-        ending.callback(rmtree, folder, ignore_errors=True)
+        folder = Path(ending.enter_context(own_folder()))
         for name, source in sources.items():
             path = folder / f'{name}.comp'
             path.write_text(source)

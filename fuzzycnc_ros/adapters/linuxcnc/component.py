@@ -65,20 +65,20 @@ def installed_component(name: str = COMPONENT) -> Path | None:
     return None
 
 
-def install_component(source: Path | None = None) -> None:
+def install_component(source: Path) -> None:
     """Build a component from its source, and install it where LinuxCNC looks for it.
 
     Parameters
     ----------
-    source : Path, optional
-        By default that of `fuzzycnc_offset`.
+    source : Path
+        File that halcompile takes.
 
     Raises
     ------
     LinuxcncError
         If that is not possible.
     """
-    _compile('--install', str(source or shipped(f'{COMPONENT}.comp')))
+    _compile('--install', str(source))
 
 
 def remove_component(name: str) -> None:

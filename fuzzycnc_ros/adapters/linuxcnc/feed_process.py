@@ -11,19 +11,18 @@ import os
 import signal
 import sys
 import time
-from importlib import import_module
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[3]))  # started as a file
 
 from fuzzycnc_ros.adapters.linuxcnc.hal_process import (
-    MODULES,
     PREFIX,
     HalError,
     begin_of,
+    drivers,
     hal_memory,
-    home_of_linuxcnc,
     is_dead,
+    linuxcnc_modules,
 )
 
 PERIOD = 0.05
@@ -131,7 +130,7 @@ class Helper:
             for name in names
         }
         component.ready()
-        signals = {item['NAME']: item.get('DRIVER') or '' for item in hal.get_info_signals()}
+        signals = drivers(hal)
         for name in names:
             driver = signals.get(f'{FEED}-{name}')
             if driver is None:
@@ -184,12 +183,10 @@ def main():
     memory = hal_memory()
     if memory is None:
         sys.exit('refused: LinuxCNC does not run here')
-    os.environ['HOME'] = home_of_linuxcnc()
-    sys.path.append(MODULES)
     try:
-        hal, linuxcnc = import_module('hal'), import_module('linuxcnc')
-    except ImportError as error:
-        sys.exit(f"refused: expected LinuxCNC's Python modules hal and linuxcnc but: {error}")
+        hal, linuxcnc = linuxcnc_modules()
+    except HalError as error:
+        sys.exit(f'refused: {error}')
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: sys.exit(0))
     try:

@@ -96,6 +96,23 @@ class HalError(Exception):
     """A request cannot be carried out; the text says why."""
 
 
+def linuxcnc_modules():
+    """Return LinuxCNC's modules hal and linuxcnc, for the user that runs it."""
+    os.environ['HOME'] = home_of_linuxcnc()
+    sys.path.append(MODULES)
+    try:
+        return import_module('hal'), import_module('linuxcnc')
+    except ImportError as error:
+        raise HalError(
+            f"expected LinuxCNC's Python modules hal and linuxcnc but: {error}"
+        ) from None
+
+
+def drivers(hal):
+    """Return the pin that writes each signal, by the signal's name; empty if none does."""
+    return {item['NAME']: item.get('DRIVER') or '' for item in hal.get_info_signals()}
+
+
 class Bridge:
     """Pins of one bridge, named after its process: a killed one leaves its pins behind."""
 
@@ -110,7 +127,7 @@ class Bridge:
         self._name = f'{PREFIX}-{os.getpid()}-{begin_of(os.getpid())}'
         self._component = hal.component(self._name)
         kinds = {'f': hal.HAL_FLOAT, 's': hal.HAL_S32, 'b': hal.HAL_BIT}
-        known = {item['NAME'] for item in hal.get_info_signals()}
+        known = drivers(hal)
         self._slopes = f'{PREFIX}-sequence' in known
         reads = [(n, 'b') for n in ('homed', 'ready', 'alive', 'on', 'soft-limited')]
         writes = [('heartbeat', 'b'), ('enable', 'b'), ('rezero', 'b')]
@@ -152,10 +169,7 @@ class Bridge:
 
     def writer(self, name):
         """Return the pin that writes a signal; empty if there is none."""
-        for item in self._hal.get_info_signals():
-            if item['NAME'] == f'{PREFIX}-{name}':
-                return item.get('DRIVER') or ''
-        return ''
+        return drivers(self._hal).get(f'{PREFIX}-{name}', '')
 
     def show(self, due):
         """Show whether a probing cycle is due, once no other bridge that is alive does."""
@@ -351,12 +365,10 @@ def main():
     if memory is None:
         answer({'error': 'LinuxCNC does not run here'})
         return
-    os.environ['HOME'] = home_of_linuxcnc()
-    sys.path.append(MODULES)
     try:
-        hal, linuxcnc = import_module('hal'), import_module('linuxcnc')
-    except ImportError as error:
-        answer({'error': f"expected LinuxCNC's Python modules hal and linuxcnc but: {error}"})
+        hal, linuxcnc = linuxcnc_modules()
+    except HalError as error:
+        answer({'error': str(error)})
         return
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     try:

@@ -5,10 +5,8 @@
 from __future__ import annotations
 
 import contextlib
-import shutil
 import signal
 import subprocess
-import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -17,7 +15,7 @@ import numpy as np
 
 from fuzzycnc_ros.adapters.linuxcnc.component import load_feed
 from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
-from fuzzycnc_ros.adapters.linuxcnc.simulation import LinuxcncSimulation, exclusive
+from fuzzycnc_ros.adapters.linuxcnc.simulation import LinuxcncSimulation, exclusive, own_folder
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.ros.processes import child_set_up
 
@@ -85,7 +83,7 @@ class Recorder:
         path = self._folder / 'origin.ngc'
         path.write_text(f'G92.1\nG54 G90 G21\n{path_mode}\nG53 G0 X0 Y0 Z0\nG4 P0.5\nM2\n')
         self._machine.run(str(path))
-        self._wait(60.0)
+        self._machine.wait_for_end(60.0)
 
     def follow(self, table: str) -> None:
         """Load the component `fuzzycnc_feed` with a table, armed.
@@ -103,13 +101,6 @@ class Recorder:
         self.halcmd('sets', 'fuzzycnc-feed-arm', '1')
         self.halcmd('sets', 'fuzzycnc-feed-heartbeat', '1')
         time.sleep(_PASSED)
-
-    def _wait(self, timeout: float) -> None:
-        end = time.monotonic() + timeout
-        while self._machine.state()['running']:
-            if time.monotonic() > end:
-                raise LinuxcncError(f'the program still runs after {timeout:g} s')
-            time.sleep(0.05)
 
     def run(self, program: str, timeout: float) -> Array:
         """Run a part program from its first line to its end.
@@ -141,7 +132,7 @@ class Recorder:
         try:
             self.halcmd('setp', 'sampler.0.enable', '1')
             self._machine.run(str(path))
-            self._wait(timeout)
+            self._machine.wait_for_end(timeout)
             self.halcmd('setp', 'sampler.0.enable', '0')
             end = time.monotonic() + _DRAIN
             while self._machine.halcmd('getp', 'sampler.0.curr-depth') != '0':
@@ -185,8 +176,7 @@ def recording() -> Iterator[Recorder]:
         If it is not installed, or another one runs.
     """
     with exclusive(), contextlib.ExitStack() as ending:
-        folder = Path(tempfile.mkdtemp(prefix='fuzzycnc-linuxcnc-'))
-        ending.callback(shutil.rmtree, folder, ignore_errors=True)
+        folder = Path(ending.enter_context(own_folder()))
         machine = LinuxcncSimulation(folder)
         ending.callback(machine.end)
         machine.start()

@@ -23,6 +23,8 @@ from fuzzycnc_ros.ros.processes import child_set_up
 PYTHON = '/usr/bin/python3'
 START_TIMEOUT = 40.0
 END_TIMEOUT = 20.0
+_LOOK = 0.02  # between two looks at a program that runs [s]
+_IDLE = 0.3  # of a program that is over: on a busy computer it seems so for a moment [s]
 SHARED_USER = 65534
 """Whom LinuxCNC becomes when root starts it: nobody."""
 
@@ -248,6 +250,22 @@ class LinuxcncSimulation:
         self.on()
         self.home()
 
+    def wait_for_end(self, timeout: float) -> None:
+        """Wait until the program that runs is over.
+
+        Raises
+        ------
+        LinuxcncError
+            If that takes longer [s].
+        """
+        begun = idle = time.monotonic()
+        while time.monotonic() < idle + _IDLE:
+            if self.state()['running']:
+                idle = time.monotonic()
+            if idle > begun + timeout:
+                raise LinuxcncError(f'the program still runs after {timeout:g} s')
+            time.sleep(_LOOK)
+
     def end(self) -> None:
         """End it as its operator does."""
         if self._process is None:
@@ -331,6 +349,11 @@ def shipped(name: str) -> Path:
     from ament_index_python.packages import get_package_share_directory
 
     return Path(get_package_share_directory('fuzzycnc_ros')) / 'linuxcnc' / name
+
+
+def own_folder() -> tempfile.TemporaryDirectory[str]:
+    """Return a folder for a LinuxCNC, removed with the context."""
+    return tempfile.TemporaryDirectory(prefix='fuzzycnc-linuxcnc-', ignore_cleanup_errors=True)
 
 
 @contextlib.contextmanager

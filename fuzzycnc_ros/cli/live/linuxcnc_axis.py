@@ -24,7 +24,12 @@ from fuzzycnc_ros.cli.axes.servo_machine import (
     machine_axis,
     own_controller,
 )
-from fuzzycnc_ros.cli.live.linuxcnc_configuration import Finding, hal_files, joint_of
+from fuzzycnc_ros.cli.live.linuxcnc_configuration import (
+    Finding,
+    coordinates_of,
+    hal_files,
+    joint_of,
+)
 from fuzzycnc_ros.core.machine.machine_data import AxisData, axis_hash
 from fuzzycnc_ros.machine_file.linuxcnc_ini import read_sections
 from fuzzycnc_ros.machine_file.reader import read_machine_file
@@ -113,8 +118,7 @@ def check_axes(ini: Path) -> Iterator[Finding]:
         If the INI file cannot be read.
     """
     sections = read_sections(ini)
-    letters = sections.get('TRAJ', {}).get('COORDINATES', ('', 0))[0].replace(' ', '').upper()
-    for joint, axis in enumerate(letters):
+    for joint, axis in enumerate(coordinates_of(ini).replace(' ', '')):
         section = sections.get(f'JOINT_{joint}', {})
         if MACHINE_FILE not in section:
             continue

@@ -30,6 +30,11 @@ class Finding(NamedTuple):
     text: str
 
 
+def coordinates_of(ini: Path) -> str:
+    """Return COORDINATES of a configuration in capitals; empty where it has none."""
+    return read_sections(ini).get('TRAJ', {}).get('COORDINATES', ('', 0))[0].upper()
+
+
 def axes_of(ini: Path) -> tuple[str, ...]:
     """Return the axes of a configuration whose offsets are lengths.
 
@@ -38,8 +43,7 @@ def axes_of(ini: Path) -> tuple[str, ...]:
     ValueError
         If the file is no configuration of LinuxCNC, or has no such axis.
     """
-    word = read_sections(ini).get('TRAJ', {}).get('COORDINATES', ('', 0))[0].upper()
-    axes = tuple(dict.fromkeys(letter for letter in word if letter in AXES))
+    axes = tuple(dict.fromkeys(letter for letter in coordinates_of(ini) if letter in AXES))
     if not axes:
         raise ValueError(f'{ini}: expected one of {AXES} as COORDINATES in [TRAJ] but found none')
     return axes
@@ -53,7 +57,7 @@ def joint_of(ini: Path, axis: str) -> int:
     ValueError
         If the file is no configuration of LinuxCNC, or has no such axis, or two joints of it.
     """
-    word = read_sections(ini).get('TRAJ', {}).get('COORDINATES', ('', 0))[0].upper()
+    word = coordinates_of(ini)
     letters = word.replace(' ', '')
     if letters.count(axis) != 1:
         raise ValueError(

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.adapters.linuxcnc.feed_process import LENGTH_OF_TOOL, NO_LENGTH
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.feedrate.gcode.lexer import read_line
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
@@ -58,8 +59,6 @@ _SHIFTS = frozenset({100, 410, 411, 420, 421, 431, 432, 520, 680, 690, 920, 921,
 _HEADER = re.compile(
     r'fuzzycnc-feed 1\nprogram ([0-9a-f]{64})\nwork-offset (\d+)\ntool-length (-?\d+)\n'
 )
-NO_LENGTH, LENGTH_OF_TOOL = -1, -2
-"""Tool length of a table where the program names none, and where it is that of the loaded tool."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from fuzzycnc_ros.adapters.linuxcnc import simulation as linuxcnc_simulation
-from fuzzycnc_ros.adapters.linuxcnc.component import install_component
+from fuzzycnc_ros.adapters.linuxcnc.component import COMPONENT, install_component
 from fuzzycnc_ros.adapters.linuxcnc.control import LinuxcncError
 from fuzzycnc_ros.adapters.linuxcnc.simulation import LinuxcncSimulation as LinuxcncMachine
 
@@ -28,7 +28,7 @@ def exclusive(*, slopes: bool = False) -> Iterator[None]:
         try:
             stack.enter_context(linuxcnc_simulation.exclusive())
             if slopes:
-                install_component()
+                install_component(linuxcnc_simulation.shipped(f'{COMPONENT}.comp'))
         except LinuxcncError as error:
             pytest.skip(str(error))
         yield
