@@ -16,7 +16,7 @@ import numpy as np
 from fuzzy_worth_rows import FUZZY, LAW, NOTHING, PLAIN, Part, Way
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.deformation.compensation import CompensatedPath, compensate_path
+from fuzzycnc_ros.core.deformation.compensation import OffsetPath, compensate_path
 from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 from fuzzycnc_ros.core.deformation.training import equal_rows
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
@@ -124,7 +124,7 @@ def tracks(quick: bool) -> Part:
     return Part(f'Soft material: tracks, means of {RUNS} runs', labels, tuple(ways))
 
 
-def _stitched(case: TrackCase, path: CompensatedPath, seeds: Sequence[int]) -> tuple[float, float]:
+def _stitched(case: TrackCase, path: OffsetPath, seeds: Sequence[int]) -> tuple[float, float]:
     """Return means of largest deviation [m] and angle error [rad] over runs."""
     qualities = [
         case.track.measure(case.stitch(path.commanded, np.random.default_rng(seed)))

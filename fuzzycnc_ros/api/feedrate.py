@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.core.feedrate.gcode.writer import write_program
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
-from fuzzycnc_ros.core.feedrate.motion.trajectory import Trajectory, limit_motion
+from fuzzycnc_ros.core.feedrate.motion.trajectory import PathMotion, limit_motion
 from fuzzycnc_ros.core.feedrate.path.nurbs import NurbsCurve
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 from fuzzycnc_ros.core.feedrate.path.reference_path import smooth_geometry
@@ -39,9 +39,9 @@ __all__ = [
     'MotionLimits',
     'NurbsCurve',
     'PathGeometry',
+    'PathMotion',
     'ProgramSettings',
     'ToleranceFeed',
-    'Trajectory',
     'read_program',
     'schedule',
     'schedule_program',
@@ -65,7 +65,7 @@ def schedule(
     machine_constant: float,
     limits: MotionLimits,
     samples: int = 2000,
-) -> Trajectory:
+) -> PathMotion:
     """Return the fastest motion along a path that keeps a contour tolerance.
 
     The feed of a place is v = sqrt(tolerance / (C curvature)) with a guard and an approach to
@@ -87,7 +87,7 @@ def schedule(
 
     Returns
     -------
-    Trajectory
+    PathMotion
         `duration` [s]; `sample(period)` gives positions, velocities and accelerations.
 
     Raises

@@ -27,8 +27,8 @@ from numpy.typing import ArrayLike
 from fuzzycnc_ros.core.arrays import check_matrix
 from fuzzycnc_ros.core.deformation.compensation import (
     LEARNING_GAIN,
-    CompensatedPath,
     CompensationConfig,
+    OffsetPath,
 )
 from fuzzycnc_ros.core.deformation.model import DeformationModel
 from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
@@ -217,7 +217,7 @@ def compensate(
     model: SoftModel,
     material: SheetMaterial,
     config: CompensationConfig | None = None,
-) -> CompensatedPath:
+) -> OffsetPath:
     """Shift a pattern so that the relaxed sheet shows the nominal one.
 
     Parameters
@@ -234,7 +234,7 @@ def compensate(
 
     Returns
     -------
-    CompensatedPath
+    OffsetPath
         Commanded points [m], offsets [m], flags and support.
 
     Warns

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.core.deformation.compensation import (
-    CompensatedPath,
     CompensationConfig,
+    OffsetPath,
     StepFlag,
     compensate_path,
     learn_offsets,
@@ -206,7 +206,7 @@ def test_learning_from_recorded_runs_from_nothing(values):
     case = Case(*values)
     angles = []
     for seed in range(10):
-        rng, path = np.random.default_rng(900 + seed), CompensatedPath.unchanged(case.track.points)
+        rng, path = np.random.default_rng(900 + seed), OffsetPath.unchanged(case.track.points)
         for _ in range(3):
             path = learn_offsets(path, case.stitch(path.commanded, rng), size=SIZE)
         assert not path.flag.any()

@@ -12,7 +12,7 @@ from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSch
 from fuzzycnc_ros.components.soft.deformation_compensator import (
     DeformationCompensatorConfig,
 )
-from fuzzycnc_ros.core.deformation.compensation import CompensatedPath, StepFlag, learn_offsets
+from fuzzycnc_ros.core.deformation.compensation import OffsetPath, StepFlag, learn_offsets
 from fuzzycnc_ros.core.deformation.model import write_model
 from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets, write_offsets
@@ -103,7 +103,7 @@ def test_the_bag_gives_the_same(recorded, name):
 def test_learnt_offsets_are_stitched_and_replayed(recorded, tmp_path):
     """The second cycle of learning; the bag holds the offsets."""
     pattern, _ = recorded['none']
-    path = learn_offsets(CompensatedPath.unchanged(pattern.nominal), pattern.stitched, gain=1.0)
+    path = learn_offsets(OffsetPath.unchanged(pattern.nominal), pattern.stitched, gain=1.0)
     offsets = StitchOffsets(TRACK, 'foam 15 mm', path.nominal, path.offset)
     with PublishedBag(tmp_path / 'bag') as sink:
         (learnt,) = run_patterns(

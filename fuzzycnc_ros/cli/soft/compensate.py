@@ -36,7 +36,7 @@ from fuzzycnc_ros.studies.number_table import table_cells
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.core.arrays import Array
-    from fuzzycnc_ros.core.deformation.compensation import CompensatedPath
+    from fuzzycnc_ros.core.deformation.compensation import OffsetPath
     from fuzzycnc_ros.core.deformation.soft_model import SoftModel
     from fuzzycnc_ros.core.deformation.stitch_design import PlacedRun
     from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial, StitchPath
@@ -277,11 +277,11 @@ class PathCompensator:
 
     def compensated(
         self, path: 'StitchPath', lines: Sequence[int], model: 'SoftModel | None' = None
-    ) -> 'CompensatedPath':
+    ) -> 'OffsetPath':
         """Compensate a path whose steps are from certain lines, by its own model if it has one."""
         import numpy as np
 
-        from fuzzycnc_ros.core.deformation.compensation import CompensatedPath, StepFlag
+        from fuzzycnc_ros.core.deformation.compensation import OffsetPath, StepFlag
         from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets
         from fuzzycnc_ros.core.deformation.soft_model import compensated
 
@@ -290,7 +290,7 @@ class PathCompensator:
             self.elsewhere = model.other_points(path.points)
             self.steps += len(path.lengths)
             self.refused += len(path.lengths)
-            return CompensatedPath.unchanged(path.points)
+            return OffsetPath.unchanged(path.points)
         found = compensated(path, self.material, model)
         refused = found.refused
         limited = (found.flag & ~StepFlag.ZERO_LENGTH != 0) & ~refused

@@ -72,7 +72,7 @@ def compensated_record(
     pattern: StitchPattern,
     course: PatternPrimitives,
     material: SheetMaterial,
-    path: compensation.CompensatedPath,
+    path: compensation.OffsetPath,
     model: str,
 ) -> CompensatedPath:
     """Return the record of a compensated pattern.
@@ -85,7 +85,7 @@ def compensated_record(
         Its primitives.
     material : SheetMaterial
         The sheet.
-    path : core.deformation.CompensatedPath
+    path : core.deformation.OffsetPath
         Nominal stitches and their offsets.
     model : str
         Hash of what gave the offsets.

@@ -21,8 +21,8 @@ from fuzzycnc_ros.components.soft.compensated_paths import (
 from fuzzycnc_ros.components.soft.stitch_patterns import pattern_primitives, sheet_material
 from fuzzycnc_ros.core.config import param
 from fuzzycnc_ros.core.deformation.compensation import (
-    CompensatedPath,
     CompensationConfig,
+    OffsetPath,
     StepFlag,
     compensate_path,
 )
@@ -276,10 +276,10 @@ class DeformationCompensator(Component[DeformationCompensatorConfig]):
                 return source
         return None
 
-    def _with_model(self, path: StitchPath, material: SheetMaterial) -> CompensatedPath:
+    def _with_model(self, path: StitchPath, material: SheetMaterial) -> OffsetPath:
         """Return a path with the model's offsets; without a model all are 0."""
         if self._model is None or not isinstance(self._model.content, DeformationModel):
-            return CompensatedPath.unchanged(path.points)
+            return OffsetPath.unchanged(path.points)
         model, gain = self._model.content, np.array(self._config.gain)
 
         def predict(x: Floats) -> Floats:
@@ -289,7 +289,7 @@ class DeformationCompensator(Component[DeformationCompensatorConfig]):
             path, material, predict, config=self._config, gate=model, support=model.support
         )
 
-    def _report(self, name: str, path: CompensatedPath, learnt: bool) -> None:
+    def _report(self, name: str, path: OffsetPath, learnt: bool) -> None:
         """Say what became of a pattern."""
         steps = len(path.flag)
         refused = int(path.refused.sum())

@@ -19,7 +19,7 @@ from fuzzycnc_ros.core.remedies import Remedy, remedied
 from fuzzycnc_ros.core.thermal.places import along_axes
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun
 from fuzzycnc_ros.core.thermal.sensor_limits import JUDGED, SensorLimits
-from fuzzycnc_ros.core.thermal.sensor_watch import SensorSelection as Selection
+from fuzzycnc_ros.core.thermal.sensor_watch import InputSelection
 from fuzzycnc_ros.runtime.component import (
     LATCHED,
     Answer,
@@ -122,7 +122,7 @@ class SensorSelector(Component[SensorSelectorConfig]):
         text = f'{", ".join(chosen.chosen)} from {", ".join(chosen.calibration)}'
         return Answer(True, text, (Emission('sensor_selection', self._selection),))
 
-    def select(self, runs: Sequence[ThermalRun], clusters: int) -> Selection:
+    def select(self, runs: Sequence[ThermalRun], clusters: int) -> InputSelection:
         """Select with the configured method; see `select_sensors` for the errors."""
         # Loaded on use: a node that is never asked to select starts a second faster.
         from fuzzycnc_ros.core.thermal.fit import select_sensors
@@ -191,7 +191,7 @@ def _with_parameter(remedy: Remedy) -> str:
     return f"{remedy.words}: parameter sensor_limits: ['{limits}']"
 
 
-def selection_record(selection: Selection, stamp: int, frame_id: str) -> SensorSelection:
+def selection_record(selection: InputSelection, stamp: int, frame_id: str) -> SensorSelection:
     """Return a selection as the record that is published."""
     return SensorSelection(
         stamp=stamp,

@@ -154,7 +154,7 @@ class DomainGate(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class CompensatedPath:
+class OffsetPath:
     """A nominal path and the offsets that were added to it.
 
     Attributes
@@ -179,7 +179,7 @@ class CompensatedPath:
     flag: NDArray[np.int64]
 
     @classmethod
-    def unchanged(cls, points: ArrayLike) -> CompensatedPath:
+    def unchanged(cls, points: ArrayLike) -> OffsetPath:
         """Return a path of points, shape (n + 1, 2) [m], without offsets."""
         nominal = np.array(points, float)
         steps = len(nominal) - 1
@@ -210,7 +210,7 @@ def compensate_path(
     config: CompensationConfig | None = None,
     gate: DomainGate | None = None,
     support: Callable[[Array], Array] | None = None,
-) -> CompensatedPath:
+) -> OffsetPath:
     """Shift a path so that the relaxed sheet shows the nominal one.
 
     Along the path off' = off exp(-length / leak_length) + s length / 50 mm, without the fading
@@ -236,7 +236,7 @@ def compensate_path(
 
     Returns
     -------
-    CompensatedPath
+    OffsetPath
         Offsets with their limits kept, flags and support.
 
     Raises
@@ -292,7 +292,7 @@ def compensate_path(
             size=material.size,
         )
         verdict = verdict | limits
-    return CompensatedPath(path.points, offset, limited, evidence, verdict)
+    return OffsetPath(path.points, offset, limited, evidence, verdict)
 
 
 def feature_rows(
@@ -415,19 +415,19 @@ LEARNING_GAIN = 0.7
 
 
 def learn_offsets(
-    path: CompensatedPath,
+    path: OffsetPath,
     stitched: ArrayLike,
     *,
     gain: float = LEARNING_GAIN,
     config: CompensationConfig | None = None,
     size: tuple[float, float] | None = None,
-) -> CompensatedPath:
+) -> OffsetPath:
     """Return the path of the next cycle: off + gain (nominal - stitched).
 
     Parameters
     ----------
-    path : CompensatedPath
-        Path that was commanded; `CompensatedPath.unchanged` in the first cycle, or what a model
+    path : OffsetPath
+        Path that was commanded; `OffsetPath.unchanged` in the first cycle, or what a model
         made of it.
     stitched : array_like, shape (n + 1, 2) or (runs, n + 1, 2)
         Stitched points of one recorded run of that path, or of several, whose mean counts [m].
@@ -440,7 +440,7 @@ def learn_offsets(
 
     Returns
     -------
-    CompensatedPath
+    OffsetPath
         With new offsets and the flags of their limits; compensation and support as they were.
 
     Raises
@@ -459,7 +459,7 @@ def learn_offsets(
     >>> from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
     >>> from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
     >>> track, rng = FoamTrack.parallelogram(np.pi / 4), np.random.default_rng(0)
-    >>> path, errors = CompensatedPath.unchanged(track.points), []
+    >>> path, errors = OffsetPath.unchanged(track.points), []
     >>> for cycle in range(4):
     ...     sheet = FoamSheet(15e-3, (0.15, 0.1)).scattered(rng)
     ...     stitched = sheet.stitch(path.commanded, 6e-3, rng=rng)

@@ -7,8 +7,8 @@ from __future__ import annotations
 import numpy as np
 
 from fuzzycnc_ros.core.deformation.compensation import (
-    CompensatedPath,
     CompensationConfig,
+    OffsetPath,
     StepFlag,
     compensate_path,
     limit_offsets,
@@ -54,7 +54,7 @@ def compensated(
     material: SheetMaterial,
     model: SoftModel,
     config: CompensationConfig | None = None,
-) -> CompensatedPath:
+) -> OffsetPath:
     """Return a path with the offsets of a model, or with learnt ones within their limits.
 
     Parameters
@@ -91,7 +91,7 @@ def compensated(
             f'points: expected those that the offsets were learnt at but found {reason}'
         )
     config = CompensationConfig() if config is None else config
-    plain = CompensatedPath.unchanged(path.points)
+    plain = OffsetPath.unchanged(path.points)
     offset, flag = limit_offsets(
         path.points,
         model.offset,
@@ -100,4 +100,4 @@ def compensated(
         size=material.size,
     )
     flag = flag | np.where(path.lengths > 0.0, 0, StepFlag.ZERO_LENGTH)
-    return CompensatedPath(path.points, offset, plain.compensation, plain.support, flag)
+    return OffsetPath(path.points, offset, plain.compensation, plain.support, flag)

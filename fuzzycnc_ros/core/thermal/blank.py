@@ -12,7 +12,7 @@ from fuzzycnc_ros.core.thermal.domain import Domain
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.places import channel_axis
 from fuzzycnc_ros.core.thermal.recursions.base import LinearRecursion
-from fuzzycnc_ros.core.thermal.sensor_watch import SensorCluster, SensorSelection
+from fuzzycnc_ros.core.thermal.sensor_watch import InputCluster, InputSelection
 
 LABEL = 'learnt'
 """Name under which errors are published that are learnt from nothing."""
@@ -38,7 +38,7 @@ def blank_model(inputs: Sequence[str], channel: Sequence[str], interval: float) 
     sensors, channels = len(inputs), len(channel)
     nothing = LinearRecursion.of_nothing(channels, sensors)
     unknown = np.full(channels, np.nan)
-    alone = [SensorCluster((name,), (1.0,), name, (), (), ()) for name in inputs]
+    alone = [InputCluster((name,), (1.0,), name, (), (), ()) for name in inputs]
     return ThermalModel(
         inputs=tuple(inputs),
         interval=interval,
@@ -51,7 +51,7 @@ def blank_model(inputs: Sequence[str], channel: Sequence[str], interval: float) 
             )
         },
         default=(UNCOMPENSATED,) * channels,
-        selection=SensorSelection('all', tuple(alone), 1.0, np.nan, (), ()),
+        selection=InputSelection('all', tuple(alone), 1.0, np.nan, (), ()),
         domain=Domain(np.zeros(sensors), np.empty((0, sensors)), np.empty(0), np.inf),
         band=PredictionBand(np.zeros(channels), 0.0),
     )

@@ -56,7 +56,7 @@ from fuzzycnc_ros.core.thermal.run import (
     driver_known,
     speed_drive,
 )
-from fuzzycnc_ros.core.thermal.sensor_watch import SensorCluster, SensorSelection, SensorWatchModel
+from fuzzycnc_ros.core.thermal.sensor_watch import InputCluster, InputSelection, SensorWatchModel
 
 REFERENCE_RULE = 'mean of the first three samples'
 """Reference of rises, unless a thermal reference says otherwise."""
@@ -84,7 +84,7 @@ class ThermalModel:
         All fitted candidates, so that an evaluation can show them side by side.
     default : tuple of str, length c
         Candidate that each channel uses.
-    selection : SensorSelection
+    selection : InputSelection
         How the inputs were chosen, with their substitutes and gains.
     domain : Domain
         Rises that it was trained on.
@@ -119,7 +119,7 @@ class ThermalModel:
     runs: tuple[str, ...]
     candidates: Mapping[str, Candidate]
     default: tuple[str, ...]
-    selection: SensorSelection
+    selection: InputSelection
     domain: Domain
     band: PredictionBand
     drivers: tuple[str, ...] = ()
@@ -742,7 +742,7 @@ def _candidate(candidate: Candidate) -> dict[str, Any]:
     }
 
 
-def _selection(selection: SensorSelection) -> dict[str, Any]:
+def _selection(selection: InputSelection) -> dict[str, Any]:
     return {
         'method': selection.method,
         'partition_coefficient': selection.partition_coefficient,
@@ -906,9 +906,9 @@ def _read_setting(node: Node) -> Settings:
     return settings
 
 
-def _read_selection(node: Node) -> SensorSelection:
+def _read_selection(node: Node) -> InputSelection:
     index = node.get('xie_beni')
-    return SensorSelection(
+    return InputSelection(
         method=node.get('method').text(),
         clusters=tuple(_read_cluster(item) for item in node.get('clusters').list()),
         partition_coefficient=node.get('partition_coefficient').number(0.0, 1.0 + SCORE_ROUNDING),
@@ -918,8 +918,8 @@ def _read_selection(node: Node) -> SensorSelection:
     )
 
 
-def _read_cluster(node: Node) -> SensorCluster:
-    cluster = SensorCluster(
+def _read_cluster(node: Node) -> InputCluster:
+    cluster = InputCluster(
         member=node.get('member').texts(),
         score=node.get('score').numbers(-SCORE_ROUNDING, 1.0 + SCORE_ROUNDING),
         chosen=node.get('chosen').text(),

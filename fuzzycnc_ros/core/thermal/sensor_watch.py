@@ -30,7 +30,7 @@ from fuzzycnc_ros.core.document import Node
 
 
 @dataclass(frozen=True)
-class SensorCluster:
+class InputCluster:
     """Sensors that warm up alike, the one that speaks for them, and who may stand in.
 
     Parameters
@@ -58,14 +58,14 @@ class SensorCluster:
 
 
 @dataclass(frozen=True)
-class SensorSelection:
+class InputSelection:
     """The chosen sensors and the clusters that they stand for.
 
     Parameters
     ----------
     method : str
         'correlation', 'grey_grade', or 'all' where every usable sensor is an input.
-    clusters : tuple of SensorCluster
+    clusters : tuple of InputCluster
         One entry per input, in the order of the inputs.
     partition_coefficient : float
         Partition coefficient of the clustering, in [1/c, 1] [-]; 1 is crisp.
@@ -78,7 +78,7 @@ class SensorSelection:
     """
 
     method: str
-    clusters: tuple[SensorCluster, ...]
+    clusters: tuple[InputCluster, ...]
     partition_coefficient: float
     xie_beni: float
     dropped: tuple[str, ...]

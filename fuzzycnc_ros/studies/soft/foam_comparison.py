@@ -12,8 +12,8 @@ import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.deformation.compensation import (
-    CompensatedPath,
     CompensationConfig,
+    OffsetPath,
     compensate_path,
     learn_offsets,
 )
@@ -187,7 +187,7 @@ class TrackCase:
 
     def compensated(
         self, model: DeformationModel, config: CompensationConfig | None = None
-    ) -> CompensatedPath:
+    ) -> OffsetPath:
         """Return the path with the offsets of a model."""
         return compensate_path(
             self.path,
@@ -241,7 +241,7 @@ def compare_foam(
     found = []
     for done, case in enumerate(TRACKS):
         progress(case.name, len(_NETWORKS) + done, total)
-        paths = {NONE: CompensatedPath.unchanged(case.track.points)}
+        paths = {NONE: OffsetPath.unchanged(case.track.points)}
         for name, model in models.items():
             paths[name] = case.compensated(model, _RAMP if name == PUBLISHED else None)
         found.append(
@@ -258,7 +258,7 @@ def compare_foam(
     return FoamComparison(seed, runs, found)
 
 
-def _figures(case: TrackCase, path: CompensatedPath, seeds: Sequence[int]) -> MethodFigures:
+def _figures(case: TrackCase, path: OffsetPath, seeds: Sequence[int]) -> MethodFigures:
     """Return what the runs of a commanded path come to."""
     commanded = path.commanded
     stitched = [case.stitch(commanded, np.random.default_rng(seed)) for seed in seeds]
@@ -275,7 +275,7 @@ def _figures(case: TrackCase, path: CompensatedPath, seeds: Sequence[int]) -> Me
 
 
 def _learning(
-    case: TrackCase, start: CompensatedPath, seeds: Sequence[int]
+    case: TrackCase, start: OffsetPath, seeds: Sequence[int]
 ) -> tuple[TrackQuality, ...]:
     """Return the qualities before each cycle of learning and after the last one."""
     courses = []

@@ -16,7 +16,7 @@ from fuzzycnc_ros.core.deformation.believed_deviation import (
     BelievedDeviation,
     believed_deviation,
 )
-from fuzzycnc_ros.core.deformation.compensation import CompensatedPath, learn_offsets
+from fuzzycnc_ros.core.deformation.compensation import OffsetPath, learn_offsets
 from fuzzycnc_ros.core.deformation.model import GAIN_MAX, GAIN_MIN, DeformationModel
 from fuzzycnc_ros.core.deformation.offset_file import SAME_POINT, StitchOffsets
 from fuzzycnc_ros.core.deformation.samples import RecordedPath
@@ -148,8 +148,8 @@ def learn_track(paths: Sequence[RecordedPath], path_id: str | None, gain: float)
         _check_same(track, first, run)
     _check_copies(runs)
     stitched = np.stack([run.stitched for run in runs])
-    before = CompensatedPath.unchanged(first.nominal)
-    commanded = CompensatedPath(
+    before = OffsetPath.unchanged(first.nominal)
+    commanded = OffsetPath(
         first.nominal, first.offset, before.compensation, before.support, before.flag
     )
     believed = believed_deviation(first.nominal, stitched, first.primitive)

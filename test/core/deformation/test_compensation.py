@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.deformation.compensation import (
-    CompensatedPath,
     CompensationConfig,
+    OffsetPath,
     StepFlag,
     compensate_path,
     feature_rows,
@@ -262,7 +262,7 @@ def test_limits_say_what_they_did():
 
 
 def test_a_path_left_alone():
-    path = CompensatedPath.unchanged(TRACK.points)
+    path = OffsetPath.unchanged(TRACK.points)
     np.testing.assert_array_equal(path.commanded, TRACK.points)
     assert not path.refused.any()
 

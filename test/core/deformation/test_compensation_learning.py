@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fuzzycnc_ros.core.deformation.compensation import (
-    CompensatedPath,
     CompensationConfig,
+    OffsetPath,
     StepFlag,
     learn_offsets,
 )
@@ -16,7 +16,7 @@ from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 
 TRACK = FoamTrack.parallelogram(np.pi / 4)
-START = CompensatedPath.unchanged(TRACK.points)
+START = OffsetPath.unchanged(TRACK.points)
 SHEET = FoamSheet(15e-3, (0.15, 0.1))
 
 

@@ -11,7 +11,7 @@ from tiers import rest_slow
 
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
 from fuzzycnc_ros.core.feedrate.motion.stream import MotionStream, default_window
-from fuzzycnc_ros.core.feedrate.motion.trajectory import Trajectory, limit_motion
+from fuzzycnc_ros.core.feedrate.motion.trajectory import PathMotion, limit_motion
 
 PLAIN = MotionLimits(path_velocity=0.2, path_acceleration=2.0)
 SMOOTH = MotionLimits(path_velocity=0.2, path_acceleration=2.0, path_jerk=40.0)
@@ -28,7 +28,7 @@ def streamed(geometry, speed, stream, chunk, **path):
 
 def trajectory_of(parts, window):
     """Return motion parts as one trajectory."""
-    return Trajectory.at_rest(parts[0].pieces, window).extended(parts)
+    return PathMotion.at_rest(parts[0].pieces, window).extended(parts)
 
 
 @pytest.mark.parametrize('kind', KINDS)

@@ -7,7 +7,7 @@ from paths.path_parts import joined_path, straight_lines
 from scipy.interpolate import BSpline, make_interp_spline
 
 from fuzzycnc_ros.core.feedrate.motion.limits import MotionLimits
-from fuzzycnc_ros.core.feedrate.motion.trajectory import Trajectory
+from fuzzycnc_ros.core.feedrate.motion.trajectory import PathMotion
 from fuzzycnc_ros.core.feedrate.path.path_geometry import PathGeometry
 
 KINDS = ('spline', 'polyline', 'reversals', 'arcs', 'arcs and corner')
@@ -86,7 +86,7 @@ def random_limits(rng: np.random.Generator, axes: int, jerk: bool) -> MotionLimi
     )
 
 
-def used(trajectory: Trajectory, limits: MotionLimits, period: float) -> float:
+def used(trajectory: PathMotion, limits: MotionLimits, period: float) -> float:
     """Return the largest share of a limit that any sample uses, of any limit.
 
     Taken from the samples' own derivatives and from differences of the positions alone.

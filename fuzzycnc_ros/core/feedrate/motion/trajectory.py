@@ -56,7 +56,7 @@ class MotionSamples:
 
 
 @dataclass(frozen=True, eq=False)
-class Trajectory:
+class PathMotion:
     """Motion along a path, or along the stretch of it that is still of use.
 
     `limit_motion` makes that of a whole path; `at_rest` and `extended` put together what a
@@ -84,7 +84,7 @@ class Trajectory:
     window: float
 
     @classmethod
-    def at_rest(cls, pieces: Pieces, window: float) -> Trajectory:
+    def at_rest(cls, pieces: Pieces, window: float) -> PathMotion:
         """Return the motion that rests at the beginning of some pieces at time 0."""
         still = np.zeros(1)
         return cls(pieces, np.zeros(len(pieces)), still, pieces.place[:1], still, still, window)
@@ -105,7 +105,7 @@ class Trajectory:
         arrived = int(np.searchsorted(self.arc_length, self.arc_length[-1]))
         return float(self.time[arrived]) + (self.window if arrived else 0.0)
 
-    def extended(self, parts: Sequence[MotionPart]) -> Trajectory:
+    def extended(self, parts: Sequence[MotionPart]) -> PathMotion:
         """Return this motion and what follows it, one part or more."""
         pieces = [part.pieces for part in parts]
         rise = [np.zeros(len(part.pieces)) if part.rise is None else part.rise for part in parts]
@@ -122,7 +122,7 @@ class Trajectory:
             )
             for name in ('time', 'arc_length', 'speed', 'acceleration')
         )
-        return Trajectory(
+        return PathMotion(
             Pieces.join(pieces),
             np.concatenate(rise),
             time,
@@ -132,14 +132,14 @@ class Trajectory:
             self.window,
         )
 
-    def since(self, time: float) -> Trajectory:
+    def since(self, time: float) -> PathMotion:
         """Return the motion from the instant before a time on; the same if that is not less."""
         first = int(self._index(np.array([time]))[0])
         at = int(np.searchsorted(self.pieces.place, self.arc_length[first], 'right')) - 1
         at = int(np.clip(at, 0, len(self.pieces) - 1))
         if max(first, at) < _SPARE:
             return self
-        return Trajectory(
+        return PathMotion(
             self.pieces.part(at, len(self.pieces)),
             self.rise[at:],
             self.time[first:],
@@ -303,7 +303,7 @@ def limit_motion(
     *,
     window: float | None = None,
     feed_max: float | None = None,
-) -> Trajectory:
+) -> PathMotion:
     """Return the motion from rest to rest that follows desired speeds as far as limits allow.
 
     Parameters
@@ -332,4 +332,4 @@ def limit_motion(
         window = fastest_window(pieces, limits.table(geometry.axes), feed_max)
     stream = MotionStream(limits, geometry.axes, feed_max=feed_max, window=window)
     parts = stream.take(pieces) + stream.finish()
-    return Trajectory.at_rest(pieces, stream.window).extended(parts)
+    return PathMotion.at_rest(pieces, stream.window).extended(parts)

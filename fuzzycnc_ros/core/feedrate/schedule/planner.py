@@ -22,7 +22,7 @@ from fuzzycnc_ros.core.feedrate.motion.stream import (
     timed,
 )
 from fuzzycnc_ros.core.feedrate.motion.sweeps import Braking
-from fuzzycnc_ros.core.feedrate.motion.trajectory import MotionSamples, Trajectory
+from fuzzycnc_ros.core.feedrate.motion.trajectory import MotionSamples, PathMotion
 from fuzzycnc_ros.core.feedrate.schedule.feeds import FeedPlan
 from fuzzycnc_ros.core.feedrate.schedule.scheduler import Scheduler
 
@@ -89,7 +89,7 @@ class _Cut:
 
     Attributes
     ----------
-    motion : Trajectory
+    motion : PathMotion
         The motion up to here and, as planned, behind.
     time, rest : float
         When this is, and how long the motion rests here from then on [s].
@@ -101,7 +101,7 @@ class _Cut:
         Squared speeds planned ahead, to rest at the last place [m, m^2/s^2].
     """
 
-    motion: Trajectory
+    motion: PathMotion
     time: float
     rest: float
     behind: Pieces
@@ -116,13 +116,13 @@ class _Cut:
         entry = float(self.square[0])
         return _strongest_braking(self.ahead, entry, self.place, self.square, limits)
 
-    def ended(self) -> Trajectory:
+    def ended(self) -> PathMotion:
         """Return the motion up to here."""
         pieces = self.behind if len(self.behind) else self.ahead.part(0, 1)
         rows = self.motion.until(self.time, float(self.square[0]))
-        return Trajectory(pieces, np.zeros(len(pieces)), *rows, self.motion.window)
+        return PathMotion(pieces, np.zeros(len(pieces)), *rows, self.motion.window)
 
-    def braked(self, braking: Braking) -> Trajectory:
+    def braked(self, braking: Braking) -> PathMotion:
         """Return the motion up to here and to rest."""
         place = braking.place
         rows = self.motion.until(self.time, float(self.square[0]))
@@ -134,7 +134,7 @@ class _Cut:
         end = max(int(np.searchsorted(self.ahead.place, place[-1])), 1)
         pieces = Pieces.join([self.behind, self.ahead.part(0, min(end, len(self.ahead)))])
         rise = np.append(np.zeros(len(self.behind)), self.rise[:end])
-        return Trajectory(pieces, rise, *rows, self.motion.window)
+        return PathMotion(pieces, rise, *rows, self.motion.window)
 
     def entry(self, braking: Braking, feeds: FeedPlan) -> MotionEntry:
         """Return how motion within other limits or feeds takes over."""
@@ -166,7 +166,7 @@ class _Outlook:
 
     Attributes
     ----------
-    motion : Trajectory
+    motion : PathMotion
         Motion that is final.
     stream : MotionStream or None
         What plans the motion behind it; nothing while the feed is held.
@@ -182,7 +182,7 @@ class _Outlook:
         When motion was cut last, and until when it rests there [s].
     """
 
-    motion: Trajectory
+    motion: PathMotion
     stream: MotionStream | None
     entry: MotionEntry | None
     pending: Pieces
@@ -404,7 +404,7 @@ class Planner:
         self._feeds = FeedPlan(settings.scheduler, settings.override)
         self._stream = self._new_stream(settings)
         self._pending = Pieces.none(axes)  # pieces that are not in the stream yet
-        self._motion: Trajectory | None = None  # none before the first part of the path
+        self._motion: PathMotion | None = None  # none before the first part of the path
         self._finished = False  # the whole path is here
         self._complete = False  # and all of its motion final
         self._entry: MotionEntry | None = None  # of the stream, and None at the path's start
@@ -478,7 +478,7 @@ class Planner:
         pieces = Pieces.of_path(path, np.zeros((len(path.geometry.coefficient), 2)))
         if self._motion is None:
             pieces.stop[0] = True
-            self._motion = Trajectory.at_rest(pieces.part(0, 1), self._window)
+            self._motion = PathMotion.at_rest(pieces.part(0, 1), self._window)
             self._begin = float(pieces.place[0])
         self._feeds.append(path)
         self._pending = Pieces.join([self._pending, pieces])

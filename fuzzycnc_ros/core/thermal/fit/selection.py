@@ -28,7 +28,7 @@ from fuzzycnc_ros.core.thermal.run import (
     ThermalDataError,
     ThermalRun,
 )
-from fuzzycnc_ros.core.thermal.sensor_watch import SensorCluster, SensorSelection
+from fuzzycnc_ros.core.thermal.sensor_watch import InputCluster, InputSelection
 
 _METHODS = ('correlation', 'grey_grade')
 """Rankings of the members of a cluster."""
@@ -67,7 +67,7 @@ def select_sensors(
     m: float = 2.0,
     n_init: int = 5,
     progress: Progress | None = None,
-) -> SensorSelection:
+) -> InputSelection:
     """Cluster the sensors and choose one per cluster [ding_zeng].
 
     Parameters
@@ -91,7 +91,7 @@ def select_sensors(
 
     Returns
     -------
-    SensorSelection
+    InputSelection
         Clusters with their chosen sensors, mates and gains.  A cluster without any sensor of
         highest membership is left out.
 
@@ -132,7 +132,7 @@ def select_sensors(
         _cluster(field, members, score, first)
         for members, first in zip(ranked, chosen, strict=True)
     )
-    return SensorSelection(
+    return InputSelection(
         method=method,
         clusters=clusters,
         partition_coefficient=clustering.partition_coefficient_,
@@ -142,7 +142,7 @@ def select_sensors(
     )
 
 
-def all_sensors(runs: Sequence[ThermalRun], method: str = 'correlation') -> SensorSelection:
+def all_sensors(runs: Sequence[ThermalRun], method: str = 'correlation') -> InputSelection:
     """Return the selection that makes every sensor that warms up an input.
 
     Each input is a cluster of its own; its mates are the sensors that follow it best.
@@ -159,7 +159,7 @@ def all_sensors(runs: Sequence[ThermalRun], method: str = 'correlation') -> Sens
     for index in everyone:
         mates = _cluster(field, everyone, score, int(index))
         clusters.append(
-            SensorCluster(
+            InputCluster(
                 member=(field.sensor[index],),
                 score=(float(score[index]),),
                 chosen=field.sensor[index],
@@ -168,7 +168,7 @@ def all_sensors(runs: Sequence[ThermalRun], method: str = 'correlation') -> Sens
                 correlation=mates.correlation[:SUBSTITUTES_MAX],
             )
         )
-    return SensorSelection(
+    return InputSelection(
         method='all',
         clusters=tuple(clusters),
         partition_coefficient=1.0,
@@ -265,14 +265,14 @@ def _scores(field: TemperatureField, method: str) -> Array:
 
 def _cluster(
     field: TemperatureField, members: NDArray[np.int64], score: Array, chosen: int
-) -> SensorCluster:
+) -> InputCluster:
     mates = members[members != chosen]
     rise, own = field.rise[:, mates], field.rise[:, chosen]
     correlation = correlation_of(rise, own[:, np.newaxis])[:, 0]
     # A mate that moves the other way follows something else; it must not stand in.
     order = [index for index in np.argsort(-correlation, kind='stable') if correlation[index] > 0]
     gain = portable.matmul(rise.T, own) / np.einsum('nm,nm->m', rise, rise)
-    return SensorCluster(
+    return InputCluster(
         member=tuple(field.sensor[index] for index in members),
         score=tuple(float(score[index]) for index in members),
         chosen=field.sensor[chosen],

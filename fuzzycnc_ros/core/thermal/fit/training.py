@@ -50,8 +50,8 @@ from fuzzycnc_ros.core.thermal.run import (
 from fuzzycnc_ros.core.thermal.sensor_watch import (
     VOTERS,
     Indices,
+    InputSelection,
     Leverage,
-    SensorSelection,
     SensorWatchModel,
     agreed,
     moment_of,
@@ -281,7 +281,7 @@ def _selected(
     n_clusters: int,
     random_state: int,
     progress: Progress | None,
-) -> SensorSelection:
+) -> InputSelection:
     if sensors not in ('auto', 'clusters', 'all'):
         raise ValueError(f'sensors: expected auto, clusters or all, but found {sensors!r}')
     if sensors == 'all' or (sensors == 'auto' and len(runs[0].sensor) <= SENSORS_MAX):
@@ -373,7 +373,7 @@ ROUNDING = 1e-9
 
 
 def learn_watch(
-    runs: Sequence[ThermalRun], selection: SensorSelection, interval: float
+    runs: Sequence[ThermalRun], selection: InputSelection, interval: float
 ) -> SensorWatchModel:
     """Learn the sensors' common behaviour, and how well it tells of each chosen one.
 
@@ -381,7 +381,7 @@ def learn_watch(
     ----------
     runs : sequence of ThermalRun
         Training runs of one machine, checked and at one interval.
-    selection : SensorSelection
+    selection : InputSelection
         The chosen sensors; those that never warmed are no mates.
     interval : float
         Sampling interval [s].
