@@ -19,7 +19,7 @@ from fuzzycnc_ros.studies.page.drawing import (
     MEASURED,
 )
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
-from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.page.table import Column, Table, case_table
 
 if TYPE_CHECKING:
     from fuzzycnc_ros.studies.contour.contouring import FollowedPath
@@ -36,26 +36,20 @@ PALE = '#a9cdf2'
 
 def contouring_table(paths: Sequence[FollowedPath]) -> Table:
     """Return time and contour error of paths as a table."""
-    columns = (
-        Column('Path', numeric=False),
-        Column('method', numeric=False),
-        Column('tolerance [µm]'),
-        Column('time [s]'),
-        Column('largest error [µm]'),
-        Column('mean error [µm]'),
+    return case_table(
+        'Contour error of the followed paths',
+        zip(paths),
+        {
+            Column('Path', numeric=False): lambda path: path.name,
+            Column('method', numeric=False): lambda path: path.method,
+            Column('tolerance [µm]'): lambda path: (
+                f'{1e6 * path.tolerance:.1f}' if np.isfinite(path.tolerance) else '-'
+            ),
+            Column('time [s]'): lambda path: f'{path.duration:.3f}',
+            Column('largest error [µm]'): lambda path: f'{1e6 * path.error_max:.2f}',
+            Column('mean error [µm]'): lambda path: f'{1e6 * path.error_mean:.2f}',
+        },
     )
-    rows = tuple(
-        (
-            path.name,
-            path.method,
-            f'{1e6 * path.tolerance:.1f}' if np.isfinite(path.tolerance) else '-',
-            f'{path.duration:.3f}',
-            f'{1e6 * path.error_max:.2f}',
-            f'{1e6 * path.error_mean:.2f}',
-        )
-        for path in paths
-    )
-    return Table(title='Contour error of the followed paths', columns=columns, rows=rows)
 
 
 def contouring_page(

@@ -25,7 +25,7 @@ from fuzzycnc_ros.studies.fleet.condition import (
 from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Rule, Series
 from fuzzycnc_ros.studies.page.drawing import AFTER, INK, LIMIT, MUTED, WARNING
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
-from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.page.table import Column, Table, case_table
 
 SHOWN = 40
 """Rows of a table that a page and a terminal show; the JSON file has all."""
@@ -208,130 +208,90 @@ def shop_document(condition: ShopCondition) -> dict[str, Any]:
 
 
 def _drift_table(courses: Sequence[ResidualHistory]) -> Table:
-    rows, warning = [], set()
-    for number, item in enumerate(courses):
-        rows.append(
-            (
-                item.machine,
-                item.model,
-                item.channel,
-                _drift_verdict(item),
-                str(len(item.rms)),
-                f'{item.days:.0f}',
-                _number(item.newest_bare, 1),
-                _number(item.newest_rms, 1),
-                _signed(item.trend.slope, 2),
-                _interval(item.trend, 2),
-            )
-        )
-        if item.trend.rises:
-            warning |= {(number, 0), (number, 3), (number, 8)}
-    columns = (
-        Column('Machine', numeric=False),
-        Column('Model', numeric=False),
-        Column('Channel', numeric=False),
-        Column('Verdict', numeric=False),
-        Column('bags'),
-        Column('days'),
-        Column('uncompensated [µm]', 'newest bags'),
-        Column('rmse [µm]', 'newest bags'),
-        Column('trend [µm]', f'per {MONTH:.0f} days'),
-        Column('interval [µm]', f'per {MONTH:.0f} days'),
-    )
-    return Table(
+    month = f'per {MONTH:.0f} days'
+    return case_table(
         'Drift of the residual error',
-        columns,
-        tuple(rows),
-        warning=frozenset(warning),
+        zip(courses),
+        {
+            Column('Machine', numeric=False): lambda item: item.machine,
+            Column('Model', numeric=False): lambda item: item.model,
+            Column('Channel', numeric=False): lambda item: item.channel,
+            Column('Verdict', numeric=False): _drift_verdict,
+            Column('bags'): lambda item: str(len(item.rms)),
+            Column('days'): lambda item: f'{item.days:.0f}',
+            Column('uncompensated [µm]', 'newest bags'): lambda item: _number(item.newest_bare, 1),
+            Column('rmse [µm]', 'newest bags'): lambda item: _number(item.newest_rms, 1),
+            Column('trend [µm]', month): lambda item: _signed(item.trend.slope, 2),
+            Column('interval [µm]', month): lambda item: _interval(item.trend, 2),
+        },
+        lambda item: (0, 3, 8) if item.trend.rises else (),
         warning_means='rises beyond chance',
     )
 
 
 def _stale_table(courses: Sequence[ResidualHistory]) -> Table:
-    rows, warning = [], set()
-    for number, item in enumerate(courses):
-        rows.append(
-            (
-                item.machine,
-                item.model,
-                item.channel,
-                'stale' if item.stale else 'fits',
-                _number(item.held_out, 1),
-                _number(item.newest_rms, 1),
-                _number(item.ratio, 2),
-                _number(100.0 * item.newest_in_domain, 0),
-                _signed(100.0 * item.domain_trend.slope, 1),
-                str(item.diverged),
-            )
-        )
-        if item.stale:
-            warning |= {(number, 0), (number, 3)}
-            warning |= {(number, 6)} if item.leaves_more else set()
-            warning |= {(number, 9)} if item.diverged else set()
-            warning |= {(number, 7)} if item.leaves_domain else set()
-    columns = (
-        Column('Machine', numeric=False),
-        Column('Model', numeric=False),
-        Column('Channel', numeric=False),
-        Column('Verdict', numeric=False),
-        Column('held out [µm]', 'rmse'),
-        Column('newest [µm]', 'rmse'),
-        Column('ratio', 'rmse'),
-        Column('newest [%]', 'in domain'),
-        Column(f'per {MONTH:.0f} days [%]', 'in domain'),
-        Column('diverged'),
-    )
-    return Table(
+    in_domain, month = 'in domain', f'per {MONTH:.0f} days [%]'
+    return case_table(
         'What training had promised, and what the newest bags show',
-        columns,
-        tuple(rows),
-        warning=frozenset(warning),
+        zip(courses),
+        {
+            Column('Machine', numeric=False): lambda item: item.machine,
+            Column('Model', numeric=False): lambda item: item.model,
+            Column('Channel', numeric=False): lambda item: item.channel,
+            Column('Verdict', numeric=False): lambda item: 'stale' if item.stale else 'fits',
+            Column('held out [µm]', 'rmse'): lambda item: _number(item.held_out, 1),
+            Column('newest [µm]', 'rmse'): lambda item: _number(item.newest_rms, 1),
+            Column('ratio', 'rmse'): lambda item: _number(item.ratio, 2),
+            Column('newest [%]', in_domain): lambda item: _number(
+                100.0 * item.newest_in_domain, 0
+            ),
+            Column(month, in_domain): lambda item: _signed(100.0 * item.domain_trend.slope, 1),
+            Column('diverged'): lambda item: str(item.diverged),
+        },
+        _stale_cells,
         warning_means='no longer fits',
     )
 
 
+def _stale_cells(item: ResidualHistory) -> list[int]:
+    told = {0: item.stale, 3: item.stale, 6: item.leaves_more, 7: item.leaves_domain}
+    return [column for column, warns in {**told, 9: bool(item.diverged)}.items() if warns]
+
+
 def _sensor_table(sensors: Sequence[MissingHistory]) -> Table:
-    rows, warning = [], set()
-    for number, item in enumerate(sensors):
-        rows.append(
-            (
-                item.machine,
-                item.sensor,
-                'fails' if item.fails else 'works',
-                str(len(item.missing)),
-                _number(100.0 * item.newest_missing, 1),
-                _number(100.0 * float(item.missing.mean()), 1),
-                _signed(100.0 * item.trend.slope, 1),
-                _number(100.0 * float(item.substituted.mean()), 1),
-                _number(100.0 * float(item.bridged.mean()), 1),
-            )
-        )
-        if item.fails:
-            warning |= {(number, 0), (number, 2), (number, 4)}
-    columns = (
-        Column('Machine', numeric=False),
-        Column('Sensor', numeric=False),
-        Column('Verdict', numeric=False),
-        Column('bags'),
-        Column('newest [%]', 'missing'),
-        Column('all [%]', 'missing'),
-        Column(f'per {MONTH:.0f} days [%]', 'missing'),
-        Column('substituted [%]'),
-        Column('bridged [%]'),
-    )
-    return Table(
+    def percent(value: Any) -> str:
+        return _number(100.0 * float(value), 1)
+
+    month = f'per {MONTH:.0f} days [%]'
+    return case_table(
         'Share of the samples of each sensor',
-        columns,
-        tuple(rows),
-        warning=frozenset(warning),
+        zip(sensors),
+        {
+            Column('Machine', numeric=False): lambda item: item.machine,
+            Column('Sensor', numeric=False): lambda item: item.sensor,
+            Column('Verdict', numeric=False): lambda item: 'fails' if item.fails else 'works',
+            Column('bags'): lambda item: str(len(item.missing)),
+            Column('newest [%]', 'missing'): lambda item: percent(item.newest_missing),
+            Column('all [%]', 'missing'): lambda item: percent(item.missing.mean()),
+            Column(month, 'missing'): lambda item: _signed(100.0 * item.trend.slope, 1),
+            Column('substituted [%]'): lambda item: percent(item.substituted.mean()),
+            Column('bridged [%]'): lambda item: percent(item.bridged.mean()),
+        },
+        lambda item: (0, 2, 4) if item.fails else (),
         warning_means='missing in the newest bags',
     )
 
 
 def _unjudged_table(condition: ShopCondition) -> Table:
-    columns = tuple(Column(name, numeric=False) for name in ('Machine', 'Bag', 'Reason'))
-    rows = tuple((item.machine, item.bag, item.problem) for item in condition.unjudged[:SHOWN])
-    return Table(f'Not judged: {len(condition.unjudged)}', columns, rows)
+    return case_table(
+        f'Not judged: {len(condition.unjudged)}',
+        zip(condition.unjudged[:SHOWN]),
+        {
+            Column('Machine', numeric=False): lambda item: item.machine,
+            Column('Bag', numeric=False): lambda item: item.bag,
+            Column('Reason', numeric=False): lambda item: item.problem,
+        },
+    )
 
 
 def _drift_verdict(item: ResidualHistory) -> str:

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A table once, shown in the terminal, as plain text, as Markdown and in HTML."""
 
-from collections.abc import Collection, Hashable, Mapping
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import groupby, zip_longest
 from textwrap import wrap
@@ -243,6 +243,44 @@ class Table:
     def _markdown_cell(self, row: int, column: int) -> str:
         text = _escaped(self.marked(row, column))
         return f'**{text}**' if (row, column) in self.strong else text
+
+
+def case_table(
+    title: str,
+    cases: Iterable[tuple[Any, ...]],
+    figures: Mapping[Column, Callable[..., str]],
+    warns: Callable[..., Collection[int]] = lambda *case: (),
+    **marks: Any,
+) -> Table:
+    """Return a table with a row for each case and a column for each of its figures.
+
+    Parameters
+    ----------
+    title : str
+        What the table holds.
+    cases : iterable of tuple
+        What the cells of a row are taken from; `zip` makes such tuples of single objects.
+    figures : mapping of Column to callable
+        Column, and its cell for a case.
+    warns : callable
+        Numbers of the columns whose cells warn for a case.
+    **marks
+        Further fields of `Table`.
+
+    Examples
+    --------
+    >>> figures = {Column('Axis', numeric=False): str.upper, Column('Code'): lambda x: str(ord(x))}
+    >>> case_table('Axes', zip(['x', 'z']), figures).rows
+    (('X', '120'), ('Z', '122'))
+    """
+    shown = list(cases)
+    return Table(
+        title,
+        tuple(figures),
+        tuple(tuple(cell(*case) for cell in figures.values()) for case in shown),
+        warning=frozenset((row, at) for row, case in enumerate(shown) for at in warns(*case)),
+        **marks,
+    )
 
 
 def tied(texts: Mapping[Key, str], best: Collection[Key]) -> list[Key]:

@@ -16,7 +16,7 @@ from fuzzycnc_ros.studies.grinder.grinder_comparison import (
     grinder_trials,
 )
 from fuzzycnc_ros.studies.grinder.grinder_rivals import RIVALS
-from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.page.table import Column, Table, case_table
 from fuzzycnc_ros.studies.published.contouring_rows import ROWS
 from fuzzycnc_ros.studies.published.mill_residuals import MillResiduals
 from fuzzycnc_ros.studies.servo.servo_cases import FRICTION_CASE, compare_controllers
@@ -158,34 +158,22 @@ def network_table(tell: Tell) -> Table:
 
 def feedrate_table(tell: Tell) -> Table:
     """Return tables 10 to 12 of [lin2021] and the same rules at the same feeds."""
-    rows = []
+    cases = []
     for done, row in enumerate(ROWS):
         tell(f'{row.shape}, {row.method}', done, len(ROWS))
-        run = row.driven()
-        rows.append(
-            (
-                row.shape,
-                row.method,
-                f'{row.feed:g}',
-                f'{row.error_max:.3f}',
-                f'{1e3 * run.error_max:.5f}',
-                f'{row.duration:g}',
-                f'{run.duration:.1f}',
-            )
-        )
-    return Table(
+        cases.append((row, row.driven()))
+    return case_table(
         'Largest contour error [mm] and time [s]',
-        (
-            Column('Shape', numeric=False),
-            Column('Method', numeric=False),
-            Column('feed [mm/min]'),
-            *(
-                Column(heading, group)
-                for group in ('error', 'time')
-                for heading in ('published', 'here')
-            ),
-        ),
-        tuple(rows),
+        cases,
+        {
+            Column('Shape', numeric=False): lambda row, run: row.shape,
+            Column('Method', numeric=False): lambda row, run: row.method,
+            Column('feed [mm/min]'): lambda row, run: f'{row.feed:g}',
+            Column('published', 'error'): lambda row, run: f'{row.error_max:.3f}',
+            Column('here', 'error'): lambda row, run: f'{1e3 * run.error_max:.5f}',
+            Column('published', 'time'): lambda row, run: f'{row.duration:g}',
+            Column('here', 'time'): lambda row, run: f'{run.duration:.1f}',
+        },
     )
 
 

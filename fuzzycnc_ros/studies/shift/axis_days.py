@@ -21,7 +21,7 @@ from fuzzycnc_ros.simulation.thermal.mill_screws import MillScrews, screw_config
 from fuzzycnc_ros.studies.evaluated_graph import judged_graph
 from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Series
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
-from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.page.table import Column, Table, case_table
 from fuzzycnc_ros.studies.shift.shift_log import ShiftLog
 from fuzzycnc_ros.studies.shift.thermal_shift import (
     Calibration,
@@ -303,31 +303,23 @@ def axis_table(
     days: Sequence[Sequence[AxisDay]], since: Mapping[str, float] | None = None
 ) -> Table:
     """Return what is left along the travel, a row per day and axis."""
-    columns = (
-        Column('Day', numeric=False),
-        Column('Axis', numeric=False),
-        Column('uncompensated'),
-        Column('best line'),
-        Column('left'),
-        Column('beyond it'),
-        Column('in band %'),
+
+    def micrometres(key: str) -> Callable[..., str]:
+        return lambda item, figures: f'{figures[key]:.1f}'
+
+    return case_table(
+        'Largest error along the travel [µm]',
+        ((one, one.figures((since or {}).get(one.duty, 0.0))) for day in days for one in day),
+        {
+            Column('Day', numeric=False): lambda item, figures: item.duty,
+            Column('Axis', numeric=False): lambda item, figures: item.axis,
+            Column('uncompensated'): micrometres('uncompensated_max_um'),
+            Column('best line'): micrometres('best_line_max_um'),
+            Column('left'): micrometres('left_max_um'),
+            Column('beyond it'): micrometres('beyond_best_line_max_um'),
+            Column('in band %'): lambda item, figures: f'{100.0 * figures["in_band"]:.0f}',
+        },
     )
-    rows = []
-    for day in days:
-        for item in day:
-            figures = item.figures((since or {}).get(item.duty, 0.0))
-            rows.append(
-                (
-                    item.duty,
-                    item.axis,
-                    f'{figures["uncompensated_max_um"]:.1f}',
-                    f'{figures["best_line_max_um"]:.1f}',
-                    f'{figures["left_max_um"]:.1f}',
-                    f'{figures["beyond_best_line_max_um"]:.1f}',
-                    f'{100.0 * figures["in_band"]:.0f}',
-                )
-            )
-    return Table('Largest error along the travel [µm]', columns, tuple(rows))
 
 
 TOLD = 6

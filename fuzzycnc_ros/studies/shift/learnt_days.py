@@ -21,7 +21,7 @@ from fuzzycnc_ros.studies.evaluated_graph import judged_graph
 from fuzzycnc_ros.studies.page.chart import Axis, Chart, Rule, Series
 from fuzzycnc_ros.studies.page.drawing import ANOTHER, MUTED
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
-from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.page.table import Column, Table, case_table
 from fuzzycnc_ros.studies.shift.shift_log import ShiftLog, offsets_of
 from fuzzycnc_ros.studies.shift.thermal_shift import shift_components
 from fuzzycnc_ros.studies.thermal.learnt import learnt_panel
@@ -186,31 +186,28 @@ def _day(log: ShiftLog, name: str, span: tuple[int, int]) -> LearntDay:
 
 def days_table(days: Sequence[LearntDay]) -> Table:
     """Return what is left in each way to use the probes, a row per day and axis."""
-    columns = (
-        Column('Day', numeric=False),
-        Column('Axis', numeric=False),
-        Column('uncompensated'),
-        Column('last probe held'),
-        Column('learnt'),
-        Column('applied'),
-        Column('in band %'),
-        Column('± µm at the end'),
-    )
-    rows = tuple(
+
+    def micrometres(key: str) -> Callable[..., str]:
+        return lambda day, axis, figures: f'{figures[key]:.1f}'
+
+    return case_table(
+        'Thermal error, root mean square [µm], and what is known of it',
         (
-            f'{number} ({day.name})',
-            axis,
-            f'{figures["uncompensated_rms_um"]:.1f}',
-            f'{figures["last_probe_held_rms_um"]:.1f}',
-            f'{figures["learnt_rms_um"]:.1f}',
-            f'{figures["applied_rms_um"]:.1f}',
-            f'{100.0 * figures["in_band"]:.0f}',
-            f'{figures["half_width_at_end_um"]:.1f}',
-        )
-        for number, day in enumerate(days, 1)
-        for axis, figures in day.figures().items()
+            (f'{number} ({day.name})', *of_axis)
+            for number, day in enumerate(days, 1)
+            for of_axis in day.figures().items()
+        ),
+        {
+            Column('Day', numeric=False): lambda day, axis, figures: day,
+            Column('Axis', numeric=False): lambda day, axis, figures: axis,
+            Column('uncompensated'): micrometres('uncompensated_rms_um'),
+            Column('last probe held'): micrometres('last_probe_held_rms_um'),
+            Column('learnt'): micrometres('learnt_rms_um'),
+            Column('applied'): micrometres('applied_rms_um'),
+            Column('in band %'): lambda day, axis, figures: f'{100.0 * figures["in_band"]:.0f}',
+            Column('± µm at the end'): micrometres('half_width_at_end_um'),
+        },
     )
-    return Table('Thermal error, root mean square [µm], and what is known of it', columns, rows)
 
 
 def days_line(days: Sequence[LearntDay]) -> str:

@@ -12,7 +12,7 @@ from fuzzycnc_ros.core.deformation.stitch_design import NeighbourGap, PlacedRun,
 from fuzzycnc_ros.studies.page.chart import Axis, Chart, Panel, Series
 from fuzzycnc_ros.studies.page.drawing import AFTER, BEFORE, MUTED
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
-from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.page.table import Column, Table, case_table
 
 ROWS = 10
 """Gaps that are listed."""
@@ -60,22 +60,19 @@ def design_page(runs: Sequence[PlacedRun], lines: Sequence[str], facts: Mapping[
 
 def gap_table(gaps: Sequence[NeighbourGap]) -> Table:
     """Return the largest gaps between neighbouring runs, by how much they open."""
-    columns = (
-        Column('Runs', numeric=False),
-        Column('place [mm]', numeric=False),
-        Column('planned', 'gap [mm]'),
-        Column('without', 'gap [mm]'),
-        Column('compensated', 'gap [mm]'),
+    return case_table(
+        'Largest gaps between neighbouring runs',
+        zip(gaps[:ROWS]),
+        {
+            Column('Runs', numeric=False): lambda gap: f'{gap.runs[0] + 1} and {gap.runs[1] + 1}',
+            Column('place [mm]', numeric=False): lambda gap: (
+                f'{1e3 * gap.place[0]:.1f}, {1e3 * gap.place[1]:.1f}'
+            ),
+            Column('planned', 'gap [mm]'): lambda gap: f'{1e3 * gap.planned:.2f}',
+            Column('without', 'gap [mm]'): lambda gap: f'{1e3 * gap.before:.2f}',
+            Column('compensated', 'gap [mm]'): lambda gap: f'{1e3 * gap.after:.2f}',
+        },
     )
-    rows = tuple(
-        (
-            f'{gap.runs[0] + 1} and {gap.runs[1] + 1}',
-            f'{1e3 * gap.place[0]:.1f}, {1e3 * gap.place[1]:.1f}',
-            *(f'{1e3 * value:.2f}' for value in (gap.planned, gap.before, gap.after)),
-        )
-        for gap in gaps[:ROWS]
-    )
-    return Table('Largest gaps between neighbouring runs', columns, rows)
 
 
 def design_chart(runs: Sequence[PlacedRun]) -> Chart:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from fuzzycnc_ros.studies.page.drawing import (
     OTHER,
 )
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
-from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.page.table import Column, Table, case_table
 from fuzzycnc_ros.studies.soft.foam_comparison import (
     METHODS,
     NONE,
@@ -50,41 +50,33 @@ _STARTS = {NONE: 'from nothing', NTS: 'from the model (NTS)'}
 
 def tracks_table(found: FoamComparison) -> Table:
     """Return the qualities of all tracks under all methods."""
-    columns = (
-        Column('Track', numeric=False),
-        Column('compensation', numeric=False),
-        Column('angle error [°]'),
-        Column('straightness [mm]'),
-        Column('closure gap [mm]'),
-        Column('rms [mm]', 'deviation'),
-        Column('max [mm]', 'deviation'),
-        Column('time [s]'),
-        Column('refused [%]'),
+
+    def length(figure: str) -> Callable[..., str]:
+        return lambda track, name, figures: f'{1e3 * getattr(figures.mean, figure):.3f}'
+
+    def angle(track: Any, name: str, figures: Any) -> str:
+        mean, spread = np.degrees(figures.mean.angle_error), np.degrees(figures.angle_spread)
+        return f'{mean:.2f} ± {spread:.2f}'
+
+    return case_table(
+        f'Stitched tracks, means of {found.runs} runs; time of a side at constant feed',
+        ((track, *item) for track in found.tracks for item in track.methods.items()),
+        {
+            Column('Track', numeric=False): lambda track, name, _: (
+                track.title if name == NONE else ''
+            ),
+            Column('compensation', numeric=False): lambda track, name, _: METHODS[name],
+            Column('angle error [°]'): angle,
+            Column('straightness [mm]'): length('straightness'),
+            Column('closure gap [mm]'): length('closure_gap'),
+            Column('rms [mm]', 'deviation'): length('rms_deviation'),
+            Column('max [mm]', 'deviation'): length('max_deviation'),
+            Column('time [s]'): lambda track, name, figures: f'{figures.mean.time:.2f}',
+            Column('refused [%]'): lambda track, name, figures: (
+                f'{100.0 * figures.refused / (len(track.nominal) - 1):.0f}'
+            ),
+        },
     )
-    rows = []
-    for track in found.tracks:
-        for name, figures in track.methods.items():
-            mean, spread = figures.mean, np.degrees(figures.angle_spread)
-            rows.append(
-                (
-                    track.title if name == NONE else '',
-                    METHODS[name],
-                    f'{np.degrees(mean.angle_error):.2f} ± {spread:.2f}',
-                    *(
-                        f'{1e3 * value:.3f}'
-                        for value in (
-                            mean.straightness,
-                            mean.closure_gap,
-                            mean.rms_deviation,
-                            mean.max_deviation,
-                        )
-                    ),
-                    f'{mean.time:.2f}',
-                    f'{100.0 * figures.refused / (len(track.nominal) - 1):.0f}',
-                )
-            )
-    title = f'Stitched tracks, means of {found.runs} runs; time of a side at constant feed'
-    return Table(title, columns, tuple(rows))
 
 
 def published_table(found: FoamComparison) -> Table:
@@ -258,26 +250,21 @@ def training_table(found: FoamTraining) -> Table:
 
 def coverage_table(found: FoamTraining) -> Table:
     """Return what the samples cover."""
-    columns = tuple(
-        Column(heading)
-        for heading in (
-            'thickness [mm]', 'lines', 'arcs', 'direction [°]', 'depth [mm]',
-            'depth / thickness', 'step [mm]',
-        )
-    )  # fmt: skip
-    rows = [
-        (
-            f'{1e3 * item.thickness:g}',
-            str(item.lines),
-            str(item.arcs),
-            _range(*np.degrees(item.direction)),
-            _range(1e3 * item.depth[0], 1e3 * item.depth[1]),
-            _range(item.depth[0] / item.thickness, item.depth[1] / item.thickness),
-            _range(1e3 * item.step[0], 1e3 * item.step[1]),
-        )
-        for item in found.coverage
-    ]
-    return Table('What the samples cover', columns, tuple(rows))
+    return case_table(
+        'What the samples cover',
+        zip(found.coverage),
+        {
+            Column('thickness [mm]'): lambda item: f'{1e3 * item.thickness:g}',
+            Column('lines'): lambda item: str(item.lines),
+            Column('arcs'): lambda item: str(item.arcs),
+            Column('direction [°]'): lambda item: _range(*np.degrees(item.direction)),
+            Column('depth [mm]'): lambda item: _range(*(1e3 * end for end in item.depth)),
+            Column('depth / thickness'): lambda item: _range(
+                *(end / item.thickness for end in item.depth)
+            ),
+            Column('step [mm]'): lambda item: _range(*(1e3 * end for end in item.step)),
+        },
+    )
 
 
 def training_document(found: FoamTraining) -> dict[str, Any]:

@@ -4,14 +4,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fuzzycnc_ros.studies.page import drawing
 from fuzzycnc_ros.studies.page.html import Figure, Page, Section
-from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.page.table import Column, Table, case_table
 from fuzzycnc_ros.studies.soft.foam_comparison import NONE, PUBLISHED, PUBLISHED_MEANS
 from fuzzycnc_ros.studies.soft.foam_page import deviation_chart, tracks_chart
 
@@ -39,41 +39,31 @@ def pattern_table(runs: Mapping[str, StitchedPattern]) -> Table:
     runs : mapping
         The track by `BEFORE` and `AFTER`, and `TRAINED` if there is one.
     """
-    columns = (
-        Column('Track', numeric=False),
-        Column('here', 'angle error [°]'),
-        Column('published', 'angle error [°]'),
-        Column('here', 'straightness [mm]'),
-        Column('published', 'straightness [mm]'),
-        Column('here', 'time of a side [s]'),
-        Column('published', 'time of a side [s]'),
-        Column('closure gap [mm]'),
-        Column('rms [mm]', 'deviation'),
-        Column('max [mm]', 'deviation'),
-    )
-    rows = []
-    for name, run in runs.items():
-        found = run.quality()
-        published = PUBLISHED_OF.get(name)
-        angle, straightness, time = (
-            ('-',) * 3 if published is None else [f'{figure:.2f}' for figure in published]
+
+    def published(place: int) -> Callable[..., str]:
+        return lambda name, found: (
+            f'{PUBLISHED_OF[name][place]:.2f}' if name in PUBLISHED_OF else '-'
         )
-        rows.append(
-            (
-                _RUNS[name],
-                f'{np.degrees(found.angle_error):.2f}',
-                angle,
-                f'{1e3 * found.straightness:.3f}',
-                straightness,
-                f'{found.time:.2f}',
-                time,
-                f'{1e3 * found.closure_gap:.2f}',
-                f'{1e3 * found.rms_deviation:.2f}',
-                f'{1e3 * found.max_deviation:.2f}',
-            )
-        )
-    return Table(
-        'One run on the simulated sheet, beside the published averages', columns, (*rows,)
+
+    def millimetres(figure: str) -> Callable[..., str]:
+        return lambda name, found: f'{1e3 * getattr(found, figure):.2f}'
+
+    angle, straightness, time = 'angle error [°]', 'straightness [mm]', 'time of a side [s]'
+    return case_table(
+        'One run on the simulated sheet, beside the published averages',
+        ((name, run.quality()) for name, run in runs.items()),
+        {
+            Column('Track', numeric=False): lambda name, found: _RUNS[name],
+            Column('here', angle): lambda name, found: f'{np.degrees(found.angle_error):.2f}',
+            Column('published', angle): published(0),
+            Column('here', straightness): lambda name, found: f'{1e3 * found.straightness:.3f}',
+            Column('published', straightness): published(1),
+            Column('here', time): lambda name, found: f'{found.time:.2f}',
+            Column('published', time): published(2),
+            Column('closure gap [mm]'): millimetres('closure_gap'),
+            Column('rms [mm]', 'deviation'): millimetres('rms_deviation'),
+            Column('max [mm]', 'deviation'): millimetres('max_deviation'),
+        },
     )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from fuzzycnc_ros.bags.errors import RunError
 from fuzzycnc_ros.studies.page.document import to_document
 from fuzzycnc_ros.studies.page.recorded import recorded_date
-from fuzzycnc_ros.studies.page.table import Column, Table
+from fuzzycnc_ros.studies.page.table import Column, Table, case_table
 from fuzzycnc_ros.studies.thermal_test.evaluation import (
     COMBINED,
     Drift,
@@ -231,28 +231,19 @@ def facts_table(test: ThermalTest) -> Table:
 
 def phases_table(test: ThermalTest) -> Table:
     """Return the phases of a test."""
-    columns = (
-        Column('No.'),
-        Column('Phase', numeric=False),
-        Column('Kind', numeric=False),
-        Column('From [h]'),
-        Column('To [h]'),
-        Column('Spindle [rpm]'),
-        Column('Ambient [°C]'),
+    return case_table(
+        f'Phases, {test.source}; time from the first displacement',
+        enumerate(test.phases, start=1),
+        {
+            Column('No.'): lambda number, item: str(number),
+            Column('Phase', numeric=False): lambda number, item: item.phase.name,
+            Column('Kind', numeric=False): lambda number, item: item.phase.kind,
+            Column('From [h]'): lambda number, item: f'{item.phase.start / 3600.0:.2f}',
+            Column('To [h]'): lambda number, item: f'{item.phase.end / 3600.0:.2f}',
+            Column('Spindle [rpm]'): lambda number, item: _speed_cell(test, item),
+            Column('Ambient [°C]'): lambda number, item: _ambient_cell(test, item),
+        },
     )
-    rows = tuple(
-        (
-            str(number),
-            item.phase.name,
-            item.phase.kind,
-            f'{item.phase.start / 3600.0:.2f}',
-            f'{item.phase.end / 3600.0:.2f}',
-            _speed_cell(test, item),
-            _ambient_cell(test, item),
-        )
-        for number, item in enumerate(test.phases, start=1)
-    )
-    return Table(f'Phases, {test.source}; time from the first displacement', columns, rows)
 
 
 def _speed_cell(test: ThermalTest, item: JudgedPhase) -> str:
