@@ -2,29 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenario `axis` of the demo: a day whose largest error lies along the axes, live over DDS."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
+from fuzzycnc_ros.cli.demo.live_run import day_specs, run_live
 from fuzzycnc_ros.cli.demo.steps import Outcome, Steps
-from fuzzycnc_ros.cli.demo.whole_days import run_days
 
 CANDIDATES = ('least_squares', 'static_ridge', 'lag_ridge', 'lag_ridge_speed')
 """Candidates of the demo: quick, and as good here as the rest."""
-
-
-@dataclass
-class AxisResult:
-    """Figures of the demo, as written to `summary.json`."""
-
-    axes: dict[str, dict[str, float]]
-    model: dict[str, str]
-    wall_s: float
-    hash: str
-    replay_identical: bool
-    degraded: bool
-    ticks: int
-    ticks_per_second: float
-    seed: int
 
 
 def axis(out: Path, seed: int, progress: Steps) -> Outcome:
@@ -53,15 +37,15 @@ def axis(out: Path, seed: int, progress: Steps) -> Outcome:
     given = day_parameters((WORK,), seed, probed=True, cautious=False)
     given['thermal_predictor'] |= {'model': str(file)}
     given['compensator'] |= {'autostart': True}
-    run = run_days(given, f'day {WORK}', out, progress)
+    run = run_live(day_specs(given), f'ran the day {WORK}', out, progress)
     days = axis_days(ShiftLog.from_bag(out / 'bag'), (WORK,), SCREWS)
-    result = AxisResult(
-        axes={item.axis: item.figures() for day in days for item in day},
-        model=dict(zip(model.channel, model.default, strict=True)),
-        wall_s=0.0,
-        seed=seed,
+    result = {
+        'axes': {item.axis: item.figures() for day in days for item in day},
+        'model': dict(zip(model.channel, model.default, strict=True)),
+        'wall_s': 0.0,
         **run._asdict(),
-    )
+        'seed': seed,
+    }
     facts = {
         'Machine': f'simulated mill with ball screws on Y and Z, duty {WORK}, noise seed {seed}',
         'Model': 'trained on two calibration runs; offset and slope of each axis',

@@ -2,26 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenario `learn` of the demo: three days from no model at all, with a probe an hour."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
+from fuzzycnc_ros.cli.demo.live_run import day_specs, run_live
 from fuzzycnc_ros.cli.demo.steps import Outcome, Steps
-from fuzzycnc_ros.cli.demo.whole_days import run_days
-
-
-@dataclass
-class LearnResult:
-    """Figures of the demo, as written to `summary.json`."""
-
-    days: dict[str, dict[str, dict[str, float]]]
-    probe_every_s: float
-    wall_s: float
-    hash: str
-    replay_identical: bool
-    degraded: bool
-    ticks: int
-    ticks_per_second: float
-    seed: int
 
 
 def learn(out: Path, seed: int, progress: Steps) -> Outcome:
@@ -40,15 +24,15 @@ def learn(out: Path, seed: int, progress: Steps) -> Outcome:
 
     given = learning_parameters(DAYS, seed)
     given['compensator'] |= {'autostart': True}
-    run = run_days(given, f'days {", ".join(DAYS)}', out, progress)
+    run = run_live(day_specs(given), f'ran the days {", ".join(DAYS)}', out, progress)
     days = learnt_days(ShiftLog.from_bag(out / 'bag'), DAYS)
-    result = LearnResult(
-        days={day.name: day.figures() for day in days},
-        probe_every_s=EVERY,
-        wall_s=0.0,
-        seed=seed,
+    result = {
+        'days': {day.name: day.figures() for day in days},
+        'probe_every_s': EVERY,
+        'wall_s': 0.0,
         **run._asdict(),
-    )
+        'seed': seed,
+    }
     facts = {
         'Machine': f'simulated mill, duties {", ".join(DAYS)}, noise seed {seed}',
         'Model': 'none; all of the error is learnt',

@@ -7,7 +7,6 @@ import shutil
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -43,22 +42,6 @@ START_TIMEOUT = 30.0
 """Wall time [s] until the bridge allows offsets."""
 
 
-@dataclass
-class ClosedLoopResult:
-    """Figures of the demo, as written to `summary.json`."""
-
-    runs: dict[str, Any]
-    linuxcnc: str
-    rate: float
-    ticks: int
-    late_ticks: int
-    program_ran: bool
-    wall_s: float
-    sensors: list[str]
-    model: dict[str, str]
-    seed: int
-
-
 def linuxcnc_demo(console: Console, out: Path, seed: int, rate: float = RATE) -> None:
     """Run the scenario into an empty folder and show what came of it.
 
@@ -83,7 +66,7 @@ def linuxcnc_demo(console: Console, out: Path, seed: int, rate: float = RATE) ->
     if lacking:
         complain(lacking)
         raise typer.Exit(LACKING)
-    if not result.program_ran:
+    if not result['program_ran']:
         raise GraphError('the part program did not run to the end of the duty; see the report')
 
 
@@ -125,25 +108,26 @@ def _linuxcnc_duty(out: Path, seed: int, progress: Steps, rate: float) -> Outcom
             'Machine': f'simulated mill, duty {DUTY}, noise seed {seed}, {rate:g} times real time',
         },
     )
-    result = ClosedLoopResult(
-        runs=summary_document(runs),
-        linuxcnc=version,
-        rate=rate,
-        ticks=int(outcome.get('ticks', 0)),
-        late_ticks=int(outcome.get('late', 0)),
-        program_ran=ran,
-        wall_s=0.0,
-        sensors=list(model.inputs),
-        model=dict(zip(model.channel, model.default, strict=True)),
-        seed=seed,
-    )
+    ticks, late = int(outcome.get('ticks', 0)), int(outcome.get('late', 0))
+    result = {
+        'runs': summary_document(runs),
+        'linuxcnc': version,
+        'rate': rate,
+        'ticks': ticks,
+        'late_ticks': late,
+        'program_ran': ran,
+        'wall_s': 0.0,
+        'sensors': list(model.inputs),
+        'model': dict(zip(model.channel, model.default, strict=True)),
+        'seed': seed,
+    }
     return Outcome(
         result,
         lambda: report_page(report),
         (summary_table(runs),),
         (
             f'LinuxCNC {version} cut circles at {rate:g} times real time for the machine; '
-            f'{result.ticks} ticks, {result.late_ticks} of them late',
+            f'{ticks} ticks, {late} of them late',
         ),
     )
 

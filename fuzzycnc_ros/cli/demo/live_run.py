@@ -1,19 +1,22 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whole days of a mill, live over DDS in lock-step and replayed: scenarios `learn` and `axis`."""
+"""A graph that runs live over DDS in lock-step into a bag, and the replay of that bag."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fuzzycnc_ros.cli.demo.steps import RUN_TIMEOUT, Steps, ended, lockstep_graph
 from fuzzycnc_ros.graph.bring_up import NodeSpec
 
+if TYPE_CHECKING:
+    from fuzzycnc_ros.replay.replay import ReplayReport
+
 MACHINE = 'mill'
 
 
-class DaysRun(NamedTuple):
+class LiveRun(NamedTuple):
     """A run over DDS and its replay."""
 
     hash: str
@@ -21,6 +24,18 @@ class DaysRun(NamedTuple):
     degraded: bool
     ticks: int
     ticks_per_second: float
+
+    @classmethod
+    def of(cls, outcome: Mapping[str, Any], seconds: float, replayed: 'ReplayReport') -> 'LiveRun':
+        """Return the run of a machine's outcome, its wall time [s] and its replay."""
+        ticks = int(outcome.get('ticks', 0))
+        return cls(
+            hash=replayed.hash,
+            replay_identical=replayed.identical,
+            degraded=bool(outcome.get('degraded', True)),
+            ticks=ticks,
+            ticks_per_second=round(ticks / seconds, 1),
+        )
 
     def facts(self) -> dict[str, str]:
         """Return what the report says of it."""
@@ -45,38 +60,36 @@ class DaysRun(NamedTuple):
         return 'the run was degraded or its replay differs; see the report'
 
 
-def run_days(
-    given: Mapping[str, Mapping[str, Any]], label: str, out: Path, progress: Steps
-) -> DaysRun:
-    """Run nodes in lock-step into `out / 'bag'`, and replay that.
+def run_live(
+    specs: Sequence[NodeSpec], label: str, out: Path, progress: Steps, folder: str = 'bag'
+) -> LiveRun:
+    """Run nodes in lock-step into a bag, and replay that.
 
     Parameters
     ----------
-    given : mapping
-        Parameters of each node, the simulated machine last.
+    specs : sequence of NodeSpec
+        The nodes, the simulated machine last.
     label : str
-        Days that are run, for the terminal.
+        What they did, for the terminal.
     out : Path
         The demo's folder.
     progress : Steps
-        Told its steps.
+        Shows how far it is.
+    folder : str
+        Name of the bag in it.
     """
     from fuzzycnc_ros.replay.replay import replay
 
-    specs = [NodeSpec(name, {'lockstep': True, **values}) for name, values in given.items()]
-    with lockstep_graph(MACHINE, specs, out / 'bag', out / 'log') as graph:
+    with lockstep_graph(MACHINE, specs, out / folder, out / 'log' / folder) as graph:
         started = time.monotonic()
-        with progress.step(f'ran the {label} live over DDS, in lock-step'):
+        with progress.step(f'{label} live over DDS, in lock-step'):
             graph.wait('simulated_machine', RUN_TIMEOUT)
-        live_s = time.monotonic() - started
+        seconds = time.monotonic() - started
         outcome = ended(graph)
-    with progress.step('replayed the bag and compared every output'):
-        replayed = replay(out / 'bag')
-    ticks = int(outcome.get('ticks', 0))
-    return DaysRun(
-        hash=replayed.hash,
-        replay_identical=replayed.identical,
-        degraded=bool(outcome.get('degraded', True)),
-        ticks=ticks,
-        ticks_per_second=round(ticks / live_s, 1),
-    )
+    with progress.step(f'replayed {folder} and compared every output'):
+        return LiveRun.of(outcome, seconds, replay(out / folder))
+
+
+def day_specs(given: Mapping[str, Mapping[str, Any]]) -> list[NodeSpec]:
+    """Return nodes in lock-step, of the parameters of each."""
+    return [NodeSpec(name, {'lockstep': True, **values}) for name, values in given.items()]

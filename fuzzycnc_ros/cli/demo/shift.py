@@ -30,28 +30,6 @@ THERMAL_MAX, POSITIONING_MAX, ANGLE_CUT = 5e-6, 2e-6, 0.8
 """Targets: thermal and positioning error [m], part of the angle error cut [-]."""
 
 
-@dataclass
-class ShiftResult:
-    """Figures of the demo, as written to `summary.json`."""
-
-    jobs: list[dict[str, Any]]
-    thermal_max_um: float
-    thermal_before_max_um: float
-    contour_max_um: float
-    contour_tolerance_um: float
-    positioning_max_um: float
-    pattern: dict[str, dict[str, float]]
-    angle_error_cut: float
-    met: dict[str, bool]
-    topics: dict[str, dict[str, str]]
-    differing: dict[str, list[str]]
-    degraded: bool
-    ticks: dict[str, int]
-    live_s: float
-    wall_s: float
-    seed: int
-
-
 def whole_shift(out: Path, seed: int, progress: Steps, program: str = '') -> Outcome:
     """Run the scenario; its outputs are to be those of one process.
 
@@ -79,24 +57,31 @@ def whole_shift(out: Path, seed: int, progress: Steps, program: str = '') -> Out
             for name, folder in PATTERN_BAGS.items()
         }
         topics, differing = _compared(out)
-    result = _result(before, after, patterns, seed)
-    result.topics, result.differing = topics, differing
-    result.degraded = any(bool(item.get('degraded', True)) for item in outcomes.values())
-    result.ticks = {name: int(item.get('ticks', 0)) for name, item in outcomes.items()}
-    result.live_s = round(live_s, 2)
-    lines = [f'{name}: {"met" if met else "NOT MET"}' for name, met in result.met.items()]
+    degraded = any(bool(item.get('degraded', True)) for item in outcomes.values())
+    ticks = {name: int(item.get('ticks', 0)) for name, item in outcomes.items()}
+    result = {
+        **_figures(before, after, patterns),
+        'topics': topics,
+        'differing': differing,
+        'degraded': degraded,
+        'ticks': ticks,
+        'live_s': round(live_s, 2),
+        'wall_s': 0.0,
+        'seed': seed,
+    }
+    lines = [f'{name}: {"met" if met else "NOT MET"}' for name, met in result['met'].items()]
     for machine, names in differing.items():
         same = f'DIFFER in {", ".join(names)}' if names else 'equal on every topic'
         lines.append(f'{machine}: hashes over DDS and in one process: {same}')
-    if result.degraded:
+    if degraded:
         lines.append('a node missed a turn or was lost (see log)')
-    differs, ticks = any(differing.values()), sum(result.ticks.values())
+    differs, all_ticks = any(differing.values()), sum(ticks.values())
     facts = {
         'Mill': 'simulated mill, three ball-screw axes, one shift of 8 h',
         'Quilter': 'simulated foam sheet, 150 x 100 x 15 mm, 6 mm deep, steps of 3 mm',
         'Foam model': 'trained on 265 samples, gains of X and Y from the first piece',
-        'Contour tolerance': f'{result.contour_tolerance_um:g} µm',
-        'Ticks': f'{ticks} in {live_s:.0f} s over DDS',
+        'Contour tolerance': f'{result["contour_tolerance_um"]:g} µm',
+        'Ticks': f'{all_ticks} in {live_s:.0f} s over DDS',
         'Same runs in one process': 'DIFFER' if differs else 'equal on every topic',
         'Noise seed': str(seed),
     }
@@ -104,7 +89,7 @@ def whole_shift(out: Path, seed: int, progress: Steps, program: str = '') -> Out
         result,
         lambda: shift_page(before, after, patterns, facts),
         (job_table(before, after), pattern_table(patterns)),
-        (*lines, f'{ticks} ticks in {result.live_s:.0f} s over DDS'),
+        (*lines, f'{all_ticks} ticks in {live_s:.0f} s over DDS'),
         'a run differs from that in one process; see summary.json' if differs else '',
     )
 
@@ -221,8 +206,8 @@ def _compared(out: Path) -> tuple[dict[str, dict[str, str]], dict[str, list[str]
     return topics, differing
 
 
-def _result(before: Any, after: Any, patterns: Any, seed: int) -> ShiftResult:
-    """Return the figures of a shift; what the live run adds is still empty."""
+def _figures(before: Any, after: Any, patterns: Any) -> dict[str, Any]:
+    """Return the figures of a shift before and after, but for those of the live run."""
     import numpy as np
 
     from fuzzycnc_ros.studies.shift.whole_shift import TOLERANCE
@@ -249,16 +234,16 @@ def _result(before: Any, after: Any, patterns: Any, seed: int) -> ShiftResult:
         }
         for old, new in zip(before.jobs, after.jobs, strict=True)
     ]
-    return ShiftResult(
-        jobs=jobs,
-        thermal_max_um=1e6 * after.thermal_max,
-        thermal_before_max_um=1e6 * before.thermal_max,
-        contour_max_um=1e6 * after.contour_max,
-        contour_tolerance_um=1e6 * TOLERANCE,
-        positioning_max_um=1e6 * after.positioning_max,
-        pattern=figures,
-        angle_error_cut=cut,
-        met={
+    return {
+        'jobs': jobs,
+        'thermal_max_um': 1e6 * after.thermal_max,
+        'thermal_before_max_um': 1e6 * before.thermal_max,
+        'contour_max_um': 1e6 * after.contour_max,
+        'contour_tolerance_um': 1e6 * TOLERANCE,
+        'positioning_max_um': 1e6 * after.positioning_max,
+        'pattern': figures,
+        'angle_error_cut': cut,
+        'met': {
             f'thermal error at most {1e6 * THERMAL_MAX:g} um': after.thermal_max <= THERMAL_MAX,
             'contour error within its tolerance': after.contour_max <= TOLERANCE,
             f'positions within {1e6 * POSITIONING_MAX:g} um': bool(
@@ -266,11 +251,4 @@ def _result(before: Any, after: Any, patterns: Any, seed: int) -> ShiftResult:
             ),
             f'angle error of the pattern cut by {ANGLE_CUT:.0%}': cut >= ANGLE_CUT,
         },
-        topics={},
-        differing={},
-        degraded=True,
-        ticks={},
-        live_s=0.0,
-        wall_s=0.0,
-        seed=seed,
-    )
+    }

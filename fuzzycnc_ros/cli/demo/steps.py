@@ -123,7 +123,7 @@ class Outcome:
 
     Attributes
     ----------
-    result : dataclass
+    result : dict
         Its figures, as they go to `summary.json`; gets the time of all as `wall_s`.
     page : callable
         Returns the page of its report.
@@ -135,7 +135,7 @@ class Outcome:
         Why the demo proves nothing; empty if it does.
     """
 
-    result: Any
+    result: dict[str, Any]
     page: 'Callable[[], Page]'
     tables: 'tuple[Table, ...]'
     lines: tuple[str, ...]
@@ -192,13 +192,13 @@ def _played(scenario: Play, console: Console, out: Path, seed: int) -> Any:
         with progress.step('wrote the report'):
             (out / 'report.html').write_text(render_page(found.page()), encoding='utf-8')
     result = found.result
-    result.wall_s = round(time.monotonic() - started, 2)
+    result['wall_s'] = round(time.monotonic() - started, 2)
     text = json.dumps(to_document(result), indent=2) + '\n'
     (out / 'summary.json').write_text(text, encoding='utf-8')
     for table in found.tables:
         show(table)
     *before, last = found.lines
-    for line in (*before, f'{last}; {result.wall_s:.0f} s in all'):
+    for line in (*before, f'{last}; {result["wall_s"]:.0f} s in all'):
         console.print(line)
     for name, what in (
         ('report.html', 'the report; open it in a browser'),

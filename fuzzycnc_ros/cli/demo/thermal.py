@@ -3,12 +3,12 @@
 """Scenario `thermal` of the demo: calibrate, then compensate unseen duties live over DDS."""
 
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fuzzycnc_ros.cli.demo.live_run import LiveRun
 from fuzzycnc_ros.cli.demo.steps import RUN_TIMEOUT, Outcome, Steps, ended
 from fuzzycnc_ros.cli.live.free_domain import other_domain
 from fuzzycnc_ros.cli.live.graph_processes import GraphProcesses
@@ -17,23 +17,6 @@ from fuzzycnc_ros.graph.bring_up import node_specs
 MACHINE = 'mill'
 CALIBRATION = ('D0', 'D0b', 'T1')
 UNSEEN = ('T2', 'T3')
-
-
-@dataclass
-class ThermalResult:
-    """Figures of the demo, as written to `summary.json`."""
-
-    runs: dict[str, Any]
-    latency_ms: dict[str, float]
-    wall_s: float
-    hash: str
-    replay_identical: bool
-    degraded: bool
-    ticks: int
-    ticks_per_second: float
-    sensors: list[str]
-    model: dict[str, str]
-    seed: int
 
 
 def thermal(out: Path, seed: int, progress: Steps) -> Outcome:
@@ -65,23 +48,17 @@ def thermal(out: Path, seed: int, progress: Steps) -> Outcome:
         latency = measure_latency(model_file, out / 'latency')
     log = ShiftLog.from_bag(out / 'bag')
     runs = compensation_runs(log, model, UNSEEN, offset_max=CompensatorConfig().offset_max)
-    result = ThermalResult(
-        runs=summary_document(runs),
-        latency_ms={
-            'median': 1e3 * float(np.median(latency)),
-            'p99': 1e3 * float(np.quantile(latency, 0.99)),
-        },
-        wall_s=0.0,
-        hash=replayed.hash,
-        replay_identical=replayed.identical,
-        degraded=bool(outcome.get('degraded', True)),
-        ticks=int(outcome.get('ticks', 0)),
-        ticks_per_second=round(outcome.get('ticks', 0) / live_s, 1),
-        sensors=list(model.inputs),
-        model=dict(zip(model.channel, model.default, strict=True)),
-        seed=seed,
-    )
-    same = replayed.identical
+    run = LiveRun.of(outcome, live_s, replayed)
+    median, p99 = (1e3 * float(np.quantile(latency, share)) for share in (0.5, 0.99))
+    result = {
+        'runs': summary_document(runs),
+        'latency_ms': {'median': median, 'p99': p99},
+        'wall_s': 0.0,
+        **run._asdict(),
+        'sensors': list(model.inputs),
+        'model': dict(zip(model.channel, model.default, strict=True)),
+        'seed': seed,
+    }
     report = shift_report(
         runs,
         model,
@@ -96,24 +73,18 @@ def thermal(out: Path, seed: int, progress: Steps) -> Outcome:
         latency=Latency(np.array(latency)),
         facts={
             'Machine': f'simulated mill, duties {", ".join(UNSEEN)}, noise seed {seed}',
-            'Ticks': f'{result.ticks}, {result.ticks_per_second:.0f} per second over DDS',
-            'Replay': 'identical' if same else 'differs',
-            'Canonical hash': result.hash,
+            **run.facts(),
         },
     )
-    median, p99 = result.latency_ms.values()
     return Outcome(
         result,
         lambda: report_page(report),
         (summary_table(runs),),
         (
             f'temperatures to compensation over DDS: median {median:.2f} ms, p99 {p99:.2f} ms',
-            f'replay of the bag: {"identical" if same else "DIFFERS"}, hash {result.hash[:16]}',
-            f'{result.ticks} ticks at {result.ticks_per_second:.0f} per second',
+            *run.lines(),
         ),
-        ''
-        if same and not result.degraded
-        else 'the run was degraded or its replay differs; see the notes in the report',
+        run.problem(),
     )
 
 

@@ -32,13 +32,13 @@ def test_a_first_probe_teaches_the_same_as_in_one_process(monkeypatch, domain, t
         found = learn(tmp_path, 0, progress)
     assert not found.problem
     result = found.result
-    assert result.replay_identical
-    assert not result.degraded
+    assert result['replay_identical']
+    assert not result['degraded']
     with PublishedBag(tmp_path / 'alone') as bag:
         alone = learnt_days.learn_days(('T1',), sink=bag)
-    assert replay(tmp_path / 'alone').hash == result.hash
-    assert {day.name: day.figures() for day in alone} == result.days
-    for figures in result.days['T1'].values():
+    assert replay(tmp_path / 'alone').hash == result['hash']
+    assert {day.name: day.figures() for day in alone} == result['days']
+    for figures in result['days']['T1'].values():
         assert figures['half_width_at_end_um'] < 15.0 < figures['uncompensated_rms_um']
     (table,) = found.tables
     assert len(table.rows) == 2
