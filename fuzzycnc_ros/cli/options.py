@@ -70,7 +70,7 @@ def given(
 
 
 def choice(text: str, words: Sequence[str], *names: str, default: bool = True) -> Any:
-    """Return an option that takes one of some words, which its help and shells name.
+    """Return an option that takes one of some words and refuses others; help and shells name them.
 
     Parameters
     ----------
@@ -83,11 +83,19 @@ def choice(text: str, words: Sequence[str], *names: str, default: bool = True) -
     default : bool
         Whether the help shows its default.
     """
+
+    def known(param: typer.CallbackParam, value: Any) -> Any:
+        if value not in (None, '') and str(value) not in words:
+            wanted = (' or ' if len(words) == 2 else ', ').join(words)
+            raise ValueError(f'{param.opts[0]}: expected {wanted} but found {value!r}')
+        return value
+
     return typer.Option(
         *names,
         metavar='|'.join(words),
         show_default=default,
         autocompletion=one_of(words),
+        callback=known,
         help=text,
     )
 

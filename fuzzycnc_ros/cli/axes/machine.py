@@ -101,8 +101,6 @@ def identify(
 
     check_new(out)
     check_folder(json_file)
-    if unit not in LENGTHS:
-        raise ValueError(f'--unit: expected one of {", ".join(LENGTHS)} but found {unit!r}')
     if not full > 0.0:
         raise ValueError(f'--full: expected a number above 0 but found {full:g}')
     if force is not None and not force > 0.0:
@@ -337,10 +335,6 @@ def new(
     from fuzzycnc_ros.machine_file.writer import machine_text
 
     check_new(out)
-    if like not in BUILT_IN_MACHINES:
-        raise ValueError(
-            f'--like: expected one of {", ".join(BUILT_IN_MACHINES)} but found {like!r}'
-        )
     machine = read_machine_file(like)
     # What follows from limits above it is written by those who want it otherwise.
     left_out = frozenset(

@@ -36,6 +36,7 @@ from fuzzycnc_ros.cli.options import (
     OptionalPath,
     OptionalText,
     Report,
+    choice,
     given,
 )
 from fuzzycnc_ros.cli.quantities import quantity, signed_quantity
@@ -120,10 +121,10 @@ def position(
     load_at: Annotated[str, typer.Option(metavar='TIME', help='When the load sets in.')] = '0s',
     sensor: Annotated[
         OptionalText,
-        given(
+        choice(
             'Linear grating or encoder on the screw; by default the lathe has a grating.',
-            metavar='|'.join(SENSORS),
-            complete=one_of(SENSORS),
+            SENSORS,
+            default=False,
         ),
     ] = None,
     noise: Annotated[
@@ -179,8 +180,6 @@ def position(
     knobs |= _load(plain, load, load_at)
     knobs['seed'] = ('--seed', seed)
     if sensor is not None:
-        if sensor not in SENSORS:
-            raise ValueError(f'--sensor: expected grating or encoder but found {sensor!r}')
         knobs['sensor'] = ('--sensor', sensor)
     if noise is not None:
         rms = quantity('--noise', noise, LENGTHS, example='0.1um', zero=True)

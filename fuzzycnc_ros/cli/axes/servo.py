@@ -364,10 +364,6 @@ def learn(
         check_axis(axis)
     elif reversed_axis:
         raise ValueError('--reversed: expected none with --machine-file, which has the direction')
-    if method not in ('lsq', 'wm'):
-        raise ValueError(f'--method: expected lsq or wm but found {method!r}')
-    if sets not in (len(SETS), len(SETS_WITH_ZERO)):
-        raise ValueError(f'--sets: expected {len(SETS)} or {len(SETS_WITH_ZERO)} but found {sets}')
     names, centres = (SETS, CENTRES) if sets == len(SETS) else (SETS_WITH_ZERO, CENTRES_WITH_ZERO)
     table_file = source.suffix.lower() == '.csv'
     if table_file != (unit is not None):
@@ -375,8 +371,6 @@ def learn(
             f'--unit: expected the unit of the lengths of a .csv, one of {", ".join(LENGTHS)}, '
             f'and none for a bag, but found {unit!r} for {source}'
         )
-    if unit is not None and unit not in LENGTHS:
-        raise ValueError(f'--unit: expected one of {", ".join(LENGTHS)} but found {unit!r}')
     check_new(out)
     check_folder(json_file)
     if not source.exists():
@@ -491,8 +485,6 @@ def export(
         own_controller,
     )
 
-    if to not in EXPORTS:
-        raise ValueError(f'--to: expected {", ".join(EXPORTS)} but found {to!r}')
     if to != 'c' and out.suffix != '.comp':
         raise ValueError(
             f'--out: expected the name of the component with .comp, such as fuzzycnc_axis_x.comp, '

@@ -89,18 +89,6 @@ def crew_of(workers: int | None, dask: str | None) -> 'Iterator[Crew]':
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def check_machine_by(word: str) -> None:
-    """Refuse a word that is none of the choices.
-
-    Raises
-    ------
-    ValueError
-        If it is another one.
-    """
-    if word not in MACHINE_BY:
-        raise ValueError(f'--machine-by: expected {" or ".join(MACHINE_BY)} but found {word!r}')
-
-
 def end_with(problems: 'Sequence[Problem]') -> None:
     """Name what could not be used, and end with 1 if there is anything."""
     for problem in problems:

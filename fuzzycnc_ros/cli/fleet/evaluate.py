@@ -22,7 +22,6 @@ from fuzzycnc_ros.cli.fleet.crews import (
     Dask,
     MachineBy,
     Workers,
-    check_machine_by,
     crew_of,
     end_with,
 )
@@ -81,7 +80,6 @@ def evaluate(
     """
     from fuzzycnc_ros.studies.fleet.evaluation import evaluate_fleet, read_models
 
-    check_machine_by(machine_by)
     check_folder(out, json_file)
     models, broken = read_models(model)
     with progress_bar('evaluating') as tell, crew_of(workers, dask) as crew:

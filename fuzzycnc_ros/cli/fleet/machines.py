@@ -24,7 +24,6 @@ from fuzzycnc_ros.cli.fleet.crews import (
     Dask,
     MachineBy,
     Workers,
-    check_machine_by,
     crew_of,
     end_with,
 )
@@ -219,7 +218,6 @@ def _by_machine(
     """Find the machines of bags and do the work on each; return all that could not be used."""
     from fuzzycnc_ros.studies.fleet.machines import each_machine, group
 
-    check_machine_by(machine_by)
     check_at_least('--runs', runs, 1)
     with progress_bar('machines') as tell, crew_of(workers, dask) as crew:
         machines, problems = group(find_bags(bags), machine_by, runs, crew, tell)

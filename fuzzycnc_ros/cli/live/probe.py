@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from fuzzycnc_ros.cli.completion import one_of
 from fuzzycnc_ros.cli.console import check_folder, say, write_text
+from fuzzycnc_ros.cli.options import choice
 
 HELP = """Write the program by which a control probes its own thermal error.
 
@@ -29,11 +29,7 @@ def write(
     out: Annotated[Path, typer.Option(help='Folder for the program; made if it is missing.')],
     control: Annotated[
         str,
-        typer.Option(
-            metavar='|'.join(CONTROLS),
-            help='Control that runs it.',
-            autocompletion=one_of(CONTROLS),
-        ),
+        choice('Control that runs it.', CONTROLS),
     ] = 'linuxcnc',
     output: Annotated[
         int,
@@ -57,8 +53,6 @@ def write(
     from fuzzycnc_ros.adapters.probing.probe_file import read_plan
     from fuzzycnc_ros.adapters.probing.programs import write_programs
 
-    if control not in CONTROLS:
-        raise ValueError(f'--control: expected one of {", ".join(CONTROLS)} but found {control!r}')
     plan = read_plan(file)
     if out.exists() and not out.is_dir():
         raise ValueError(f'--out: expected a folder but found the file {out}')

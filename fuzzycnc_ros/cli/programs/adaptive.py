@@ -38,8 +38,6 @@ def check_table(as_: str, out: Path | None, table: Path | None) -> None:
     ValueError
         If one lacks.
     """
-    if as_ not in AS:
-        raise ValueError(f'--as: expected {", ".join(AS)} but found {as_!r}')
     if (table is None) == (as_ == 'adaptive') and (out is not None or table is not None):
         raise ValueError(
             'expected --as adaptive and --table together but found one alone; the table is half '

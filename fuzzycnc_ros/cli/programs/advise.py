@@ -120,7 +120,7 @@ def advise(
     With --as adaptive feed shares along the path compete, which LinuxCNC follows by M52 P1 and
     the component fuzzycnc_feed; docs/how-to/linuxcnc.md says how it is set up.
     """
-    from fuzzycnc_ros.studies.programs.advice import CORNERS, Adviser, advised_program
+    from fuzzycnc_ros.studies.programs.advice import Adviser, advised_program
     from fuzzycnc_ros.studies.programs.advice_page import (
         advice_document,
         advice_table,
@@ -131,10 +131,6 @@ def advise(
     if tolerance is not None:
         wanted = quantity('--tolerance', tolerance, LENGTHS, example='20um')
         known = replace(known, scheduler=replace(known.scheduler, tolerance=wanted))
-    if corners not in CORNERS:
-        raise ValueError(f'--corners: expected {", ".join(CORNERS)} but found {corners!r}')
-    if units not in PROGRAM_UNITS:
-        raise ValueError(f'--units: expected mm or inch but found {units!r}')
     check_folder(report, json_file)
     if out is not None:
         if str(out) == STREAM:

@@ -182,8 +182,6 @@ def schedule(
 
     known = _settled(read_machine(machine), tolerance, method, blend, feed, override)
     settings = replace(_settings(known, feed, feed_step), own_corners=blend is None)
-    if units not in PROGRAM_UNITS:
-        raise ValueError(f'--units: expected mm or inch but found {units!r}')
     check_output(program, out, in_place)
     check_folder(report, json_file)
     check_table(as_, out, table)

@@ -169,8 +169,6 @@ def compensate(
         )
     )
     step_m = None if step is None else quantity('--step', step, LENGTHS, example='3mm')
-    if units not in PROGRAM_UNITS:
-        raise ValueError(f'--units: expected mm or inch but found {units!r}')
     sheet = SheetMaterial(thickness_m, None if size is None else sheet_size(size))
     known = read_model_file(model)
     check_output(path, out, in_place)
