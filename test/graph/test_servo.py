@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benches.positioning_run import run_positioning
 from lifecycle_msgs.msg import Transition
 from live_graph import ANSWER_TIMEOUT, KILL_TIMEOUT
 
@@ -26,7 +27,7 @@ from fuzzycnc_ros.runtime.records import (
     ServoState,
 )
 from fuzzycnc_ros.studies.published_bag import PublishedBag
-from fuzzycnc_ros.studies.servo.positioning import PositioningLog, run_positioning
+from fuzzycnc_ros.studies.servo.positioning import PositioningLog
 
 pytestmark = pytest.mark.ros
 

@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+from benches.positioning_run import PositioningError, run_positioning
 
 from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.components.machine.simulated_machine import (
@@ -25,11 +26,7 @@ from fuzzycnc_ros.runtime.graph import InProcessGraph
 from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position
 from fuzzycnc_ros.studies.published_bag import PublishedBag
-from fuzzycnc_ros.studies.servo.positioning import (
-    PositioningError,
-    PositioningLog,
-    run_positioning,
-)
+from fuzzycnc_ros.studies.servo.positioning import PositioningLog
 
 MOVES = ('X:-0.05', 'X:0.01')
 

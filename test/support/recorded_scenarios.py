@@ -13,6 +13,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+from benches.positioning_run import PositioningError, run_positioning
+
 from fuzzycnc_ros.bags.canonical import combined_hash, topic_hashes
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
@@ -22,7 +24,6 @@ from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.runtime.graph import Sink
 from fuzzycnc_ros.studies.contour.contouring import run_contouring
 from fuzzycnc_ros.studies.published_bag import PublishedBag
-from fuzzycnc_ros.studies.servo.positioning import PositioningError, run_positioning
 from fuzzycnc_ros.studies.shift.learnt_days import learn_days
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration, run_shift
 from fuzzycnc_ros.studies.shift.whole_shift import ShiftSettings, run_whole_shift

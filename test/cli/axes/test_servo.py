@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 import yaml
+from benches.positioning_run import run_positioning
 
 from fuzzycnc_ros.cli.axes.servo import COMMANDS
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
@@ -25,7 +26,6 @@ from fuzzycnc_ros.runtime.records import (
 from fuzzycnc_ros.simulation.servo.axes import LatheAxis
 from fuzzycnc_ros.simulation.servo.positioning import position
 from fuzzycnc_ros.studies.published_bag import PublishedBag
-from fuzzycnc_ros.studies.servo.positioning import run_positioning
 from fuzzycnc_ros.studies.servo.positioning_rules import swinging
 from fuzzycnc_ros.studies.servo.recorded_moves import read_bag
 

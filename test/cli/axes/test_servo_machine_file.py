@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from benches.positioning_run import run_positioning
 
 from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
 from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS
@@ -13,7 +14,6 @@ from fuzzycnc_ros.machine_file.parameters import node_parameters
 from fuzzycnc_ros.machine_file.reader import read_machine_file
 from fuzzycnc_ros.studies.published_bag import PublishedBag
 from fuzzycnc_ros.studies.servo.axis_tuning_tables import LABELS
-from fuzzycnc_ros.studies.servo.positioning import run_positioning
 
 FILE = """\
 axes:

@@ -5,6 +5,7 @@
 import numpy as np
 import pytest
 from benches.component_bench import machine_state
+from benches.positioning_run import PositioningError, run_positioning
 from benches.servo_bench import PERIOD, START, Axis
 
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
@@ -14,7 +15,6 @@ from fuzzycnc_ros.core.servo.axis_control import FOR_USE
 from fuzzycnc_ros.runtime.enums import MachineMode, ServoStatus
 from fuzzycnc_ros.runtime.records import SECOND, AxisCommand, AxisState, MachineState
 from fuzzycnc_ros.simulation.servo.axes import LatheAxis
-from fuzzycnc_ros.studies.servo.positioning import PositioningError, run_positioning
 
 
 def test_axis_states_that_are_missing_are_bridged_and_counted():

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bag_libraries import need_bag_libraries
+from benches.positioning_run import PositioningError, run_positioning
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -34,7 +35,6 @@ from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.simulation.servo.axes import simulated_axis
 from fuzzycnc_ros.simulation.servo.positioning import position
 from fuzzycnc_ros.studies.published_bag import PublishedBag
-from fuzzycnc_ros.studies.servo.positioning import PositioningError, run_positioning
 
 SLOW = AxisData(
     limits=AxisLimits(
