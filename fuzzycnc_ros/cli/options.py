@@ -69,7 +69,9 @@ def given(
     )
 
 
-def choice(text: str, words: Sequence[str], *names: str, default: bool = True) -> Any:
+def choice(
+    text: str, words: Sequence[str], *names: str, default: bool = True, others: bool = False
+) -> Any:
     """Return an option that takes one of some words and refuses others; help and shells name them.
 
     Parameters
@@ -82,6 +84,8 @@ def choice(text: str, words: Sequence[str], *names: str, default: bool = True) -
         What it is called, if not as its parameter.
     default : bool
         Whether the help shows its default.
+    others : bool
+        Whether further words may be right, as those of a machine file, so that none is refused.
     """
 
     def known(param: typer.CallbackParam, value: Any) -> Any:
@@ -95,7 +99,7 @@ def choice(text: str, words: Sequence[str], *names: str, default: bool = True) -
         metavar='|'.join(words),
         show_default=default,
         autocompletion=one_of(words),
-        callback=known,
+        callback=None if others else known,
         help=text,
     )
 

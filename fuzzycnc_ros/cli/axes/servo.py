@@ -229,6 +229,7 @@ def stability(
             'variable_universe or linear_tangent, its own without it.',
             (*TUNABLE, 'linear_tangent'),
             default=False,
+            others=True,
         ),
     ] = '',
     params: Params = None,

@@ -49,6 +49,7 @@ Axis = Annotated[
         f'Simulated axis, {AXES[0]} without it; with a machine file the name of its axis.',
         AXES,
         default=False,
+        others=True,
     ),
 ]
 

@@ -13,6 +13,13 @@ if TYPE_CHECKING:
     from fuzzycnc_ros.replay.replay import ReplayReport, TopicComparison
 
 
+COMPARED = (
+    *('recorded', 'recomputed', 'identical', 'largest_difference', 'first_difference'),
+    *('not_recomputed', 'left_out'),
+)
+"""Figures of a topic in the file of --json."""
+
+
 def replay(
     bag: Annotated[Path, typer.Argument(metavar='BAG', help='Bag of a live or simulated run.')],
     exact: Annotated[
@@ -54,7 +61,7 @@ def replay(
     """
     from fuzzycnc_ros.replay.origins import GIVEN_REMEDY
     from fuzzycnc_ros.replay.replay import replay as recompute
-    from fuzzycnc_ros.studies.page.table import Column, Table
+    from fuzzycnc_ros.studies.page.table import Column, case_table
 
     check_folder(json_file)
     if hashes:
@@ -62,25 +69,22 @@ def replay(
         return
     with progress_bar('replaying') as tell:
         report = recompute(bag, given=given or (), progress=tell)
-    columns = (
-        Column('Topic', numeric=False),
-        Column('recorded'),
-        Column('recomputed'),
-        Column('identical'),
-        Column('first difference', numeric=False),
-    )
-    rows = tuple(
-        (t.topic, str(t.recorded), str(t.recomputed), str(t.identical), _remark(t))
-        for t in report.topics
-    )
-    differing = frozenset(row for row, topic in enumerate(report.topics) if not topic.equivalent)
-    show(Table('Messages', columns, rows, highlight=differing))
+    topic, recorded = Column('Topic', numeric=False), Column('recorded')
+    figures = {
+        topic: lambda t: t.topic,
+        recorded: lambda t: str(t.recorded),
+        Column('recomputed'): lambda t: str(t.recomputed),
+        Column('identical'): lambda t: str(t.identical),
+        Column('first difference', numeric=False): _remark,
+    }
+    differing = frozenset(row for row, found in enumerate(report.topics) if not found.equivalent)
+    show(case_table('Messages', zip(report.topics), figures, highlight=differing))
     if any(GIVEN_REMEDY in topic.not_recomputed for topic in report.topics):
         say('note: a topic that another node wrote is named as given by --given TOPIC')
     if report.given:
-        origin = Column('Topic', numeric=False), Column('recorded'), Column('', numeric=False)
-        taken = tuple((item.topic, str(item.recorded), item.origin) for item in report.given)
-        show(Table('Taken as they are', origin, taken))
+        figures = {topic: figures[topic], recorded: figures[recorded]}
+        figures |= {Column('', numeric=False): lambda t: t.origin}
+        show(case_table('Taken as they are', zip(report.given), figures))
     for note in report.notes:
         say(f'note: {note}')
     say(f'{_verdict(report)}, hash {report.hash}' if report.hashes else _verdict(report))
@@ -93,13 +97,7 @@ def replay(
             'hash': report.hash,
             'topics': {
                 t.topic: {
-                    'recorded': t.recorded,
-                    'recomputed': t.recomputed,
-                    'identical': t.identical,
-                    'largest_difference': t.largest_difference,
-                    'first_difference': t.first_difference,
-                    'not_recomputed': t.not_recomputed,
-                    'left_out': t.left_out,
+                    **{name: getattr(t, name) for name in COMPARED},
                     'hash': report.hashes.get(t.topic),
                 }
                 for t in report.topics

@@ -70,7 +70,7 @@ def status(machine: MachineName = 'mill', json_file: JsonFile = None) -> None:
     check_ros('operate')
     from fuzzycnc_ros.cli.live.supervision_monitor import Monitor
     from fuzzycnc_ros.runtime.records import CompensationApplied
-    from fuzzycnc_ros.studies.page.table import Column, Table
+    from fuzzycnc_ros.studies.page.table import Column, case_table
 
     machine = machine_name(machine)
     monitor = Monitor([machine])
@@ -88,28 +88,19 @@ def status(machine: MachineName = 'mill', json_file: JsonFile = None) -> None:
             )
     finally:
         monitor.close()
-    rows = []
-    for name in nodes:
-        view = monitor.view(machine, name)
-        rows.append(
-            (
-                name,
-                view.lifecycle or 'running',
-                view.activity.get('rate [1/s]', ''),
-                view.activity.get('latency [ms]', ''),
-                view.level.name.lower(),
-                '; '.join(view.trouble),
-            )
-        )
-    columns = ('Node', 'State', 'Rate [1/s]', 'Latency [ms]', 'Health', 'Limits and trouble')
-    numbers = {'Rate [1/s]', 'Latency [ms]'}
-    show(
-        Table(
-            f'/{machine}',
-            tuple(Column(name, numeric=name in numbers) for name in columns),
-            tuple(rows),
-        )
+    table = case_table(
+        f'/{machine}',
+        ((name, monitor.view(machine, name)) for name in nodes),
+        {
+            Column('Node', numeric=False): lambda name, view: name,
+            Column('State', numeric=False): lambda name, view: view.lifecycle or 'running',
+            Column('Rate [1/s]'): lambda name, view: view.activity.get('rate [1/s]', ''),
+            Column('Latency [ms]'): lambda name, view: view.activity.get('latency [ms]', ''),
+            Column('Health', numeric=False): lambda name, view: view.level.name.lower(),
+            Column('Limits and trouble', numeric=False): lambda _, view: '; '.join(view.trouble),
+        },
     )
+    show(table)
     if applied:
         newest = applied[-1]
         offsets = ', '.join(
@@ -121,7 +112,7 @@ def status(machine: MachineName = 'mill', json_file: JsonFile = None) -> None:
         for text in monitor.view(machine, name).learning:
             say(f'{name}: {text}')
     keys = ('node', 'state', 'rate', 'latency_ms', 'health', 'trouble')
-    write_json(json_file, {'nodes': [dict(zip(keys, row, strict=True)) for row in rows]})
+    write_json(json_file, {'nodes': [dict(zip(keys, row, strict=True)) for row in table.rows]})
 
 
 def activate(node: ManagedNode = 'compensator', machine: MachineName = 'mill') -> None:

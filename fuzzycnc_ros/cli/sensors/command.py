@@ -150,38 +150,28 @@ def _offsets(found: 'RestCheck', recorded: 'Recorded') -> dict[str, float]:
 
 
 def _show(found: 'RestCheck', recorded: 'Recorded') -> None:
-    from fuzzycnc_ros.studies.page.table import Column, Table
+    from fuzzycnc_ros.studies.page.table import Column, case_table
 
     offsets = _offsets(found, recorded)
     heading = 'offset to write' if recorded.offset else 'add to offset'
-    columns = (
-        Column('Sensor', numeric=False),
-        Column('mean [degC]'),
-        Column('difference [K]'),
-        Column('uncertainty [K]'),
-        Column('drift [K/h]'),
-        Column('verdict', numeric=False),
-        Column(f'{heading} [K]'),
-    )
-    rows = tuple(
-        (
-            item.sensor,
-            f'{item.temperature:.2f}',
-            f'{item.difference:+.2f}',
-            f'{item.uncertainty:.2f}',
-            f'{item.drift:+.2f}',
-            item.verdict,
-            f'{offsets[item.sensor]:+.2f}' if item.sensor in offsets else '',
-        )
-        for item in found.sensors
-    )
-    differs = frozenset((row, 2) for row, i in enumerate(found.sensors) if i.verdict != 'agrees')
     source = found.reference_sensor or 'the median of those that agree'
-    show(
-        Table(
-            f'Sensors against {source}, {found.reference:.2f} degC', columns, rows, warning=differs
-        )
+    table = case_table(
+        f'Sensors against {source}, {found.reference:.2f} degC',
+        zip(found.sensors),
+        {
+            Column('Sensor', numeric=False): lambda item: item.sensor,
+            Column('mean [degC]'): lambda item: f'{item.temperature:.2f}',
+            Column('difference [K]'): lambda item: f'{item.difference:+.2f}',
+            Column('uncertainty [K]'): lambda item: f'{item.uncertainty:.2f}',
+            Column('drift [K/h]'): lambda item: f'{item.drift:+.2f}',
+            Column('verdict', numeric=False): lambda item: item.verdict,
+            Column(f'{heading} [K]'): lambda item: (
+                f'{offsets[item.sensor]:+.2f}' if item.sensor in offsets else ''
+            ),
+        },
+        lambda item: () if item.verdict == 'agrees' else (2,),
     )
+    show(table)
     say(
         f'Evidence: {found.readings} readings from {found.start / HOUR:.2f} h to '
         f'{found.stop / HOUR:.2f} h, the quietest time of the recording.'
