@@ -3,7 +3,6 @@
 """What the demo on LinuxCNC says of a run that proves nothing."""
 
 from contextlib import nullcontext
-from types import SimpleNamespace
 
 import pytest
 import typer
@@ -21,7 +20,7 @@ from fuzzycnc_ros.ros.presence import GraphError
     ],
 )
 def test_a_run_that_proves_nothing_is_an_error(monkeypatch, tmp_path, ran, lacking, ends):
-    result = SimpleNamespace(program_ran=ran)
+    result = {'program_ran': ran}
     monkeypatch.setattr(linuxcnc, 'play', lambda *arguments: result)
     monkeypatch.setattr(linuxcnc, 'loss', lambda bag: lacking)
     with ends:
