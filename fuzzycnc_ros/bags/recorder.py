@@ -408,11 +408,6 @@ class RecordingThread:
         with self._lock:
             self._counts.setdefault(name, _Counts(SequenceCounter(publishers)))
 
-    @property
-    def unknown_types(self) -> dict[str, str]:
-        """Types recorded without a definition, each with the reason."""
-        return dict(self._unknown_types)
-
     def put(
         self,
         topic: str,

@@ -214,8 +214,9 @@ def test_unknown_type_is_recorded_without_definition(tmp_path):
     thread.add_topic('/a', 'shop_floor_msgs/msg/Secret')
     thread.put('/a', b'\x00\x01\x00\x00abcd', 1)
     thread.close()
-    assert 'source the workspace' in thread.unknown_types['shop_floor_msgs/msg/Secret']
     with BagReader(tmp_path / 'bag') as reader:
+        report = json.loads(reader.attachments()[REPORT_NAME].data)
+        assert 'source the workspace' in report['unknown_types']['shop_floor_msgs/msg/Secret']
         assert [m.message for m in reader.messages(raw=True)] == [b'\x00\x01\x00\x00abcd']
 
 

@@ -101,14 +101,6 @@ class ThermalRegressor(RegressionEstimator):
         """Take the rises of one sample, shape (p,) [K], and return the thermal error [m]."""
         return float(self._running().step(x)[0])
 
-    def get_state(self) -> Array:
-        """Return the recursion's state as a flat array."""
-        return self._running().state
-
-    def set_state(self, state: ArrayLike) -> None:
-        """Resume from a state that `get_state` returned."""
-        self._running().state = np.asarray(state, dtype=np.float64)
-
     def with_interval(self: _Self, interval: float) -> _Self:
         """Return a copy for another sampling interval [s].
 
