@@ -25,12 +25,10 @@ from fuzzycnc_ros.core.servo.axis_control import (
     untuned_settings,
 )
 from fuzzycnc_ros.core.servo.controller import AxisController
+from fuzzycnc_ros.core.servo.course import REST, AxisFigures, single_way, there_and_back
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning
-from fuzzycnc_ros.core.servo.profile import ProfileLimits, point_to_point
+from fuzzycnc_ros.core.servo.profile import ProfileLimits
 from fuzzycnc_ros.simulation.servo.axes import AxisPlant, simulated_axis
-
-REST = 0.3
-"""Rest before, between and after the two ways of a case [s]."""
 
 GAINS = (0.5, 0.75, 1.0, 1.4, 2.0)
 """Factors on the gain for which an axis is tuned."""
@@ -119,24 +117,6 @@ class AxisCase:
     pace: float = 1.0
     delay: float = 0.0
     seed: int = 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class AxisFigures:
-    """Figures of a controller in a case.
-
-    Attributes
-    ----------
-    rms, largest, rest : float
-        Following error [m]: RMS, largest, and RMS over the last parts of the rests.
-    fault : str
-        Why it gave up; empty if it did not.
-    """
-
-    rms: float
-    largest: float
-    rest: float
-    fault: str = ''
 
 
 @dataclass(frozen=True)
@@ -377,11 +357,11 @@ def _drive_case(
         Way and pace.
     """
     period = plant.period
-    rows, judged = _course(data, case, period)
+    course = there_and_back(case.way, _case_limits(data, case), period)
     width = round(_PULSE / period)
     controller.reset(plant.measure())
-    errors = np.empty(len(rows))
-    for step, (place, speed, rise) in enumerate(rows.tolist()):
+    errors = np.empty(len(course.rows))
+    for step, (place, speed, rise) in enumerate(course.rows.tolist()):
         errors[step] = place - plant.position
         duty = controller.step(place, plant.measure(), speed, rise)
         # What acts on the drive is what loads it; its range has to hold both.
@@ -389,16 +369,13 @@ def _drive_case(
         if controller.watch.fault:
             lost = _GIVEN_UP * (data.limits.travel_high - data.limits.travel_low)
             return AxisFigures(rms=lost, largest=lost, rest=lost, fault=controller.watch.fault)
-    return AxisFigures(
-        rms=float(np.sqrt((errors**2).mean())),
-        largest=float(np.abs(errors).max()),
-        rest=float(np.sqrt((errors[judged] ** 2).mean())),
-    )
+    return course.figures(errors)
 
 
 def load_time(data: AxisData, case: AxisCase, period: float) -> float:
     """Return when the load of a case sets in: amid the rest before the way back [s]."""
-    return REST + _way(data, case, period)[:, 0].size * period + 0.3 * REST
+    there = single_way(case.way, _case_limits(data, case), period)
+    return REST + len(there) * period + 0.3 * REST
 
 
 def _simulated_case(data: AxisData, case: AxisCase) -> AxisPlant:
@@ -657,25 +634,8 @@ def _settings(ranges: Mapping[str, tuple[float, float, float]], point: Array) ->
     }
 
 
-def _way(data: AxisData, case: AxisCase, period: float) -> Array:
-    """Return position, velocity and acceleration over a way, shape (n, 3)."""
+def _case_limits(data: AxisData, case: AxisCase) -> ProfileLimits:
     velocity, acceleration, jerk = data.limits.positioning
-    limits = ProfileLimits(
+    return ProfileLimits(
         velocity=velocity * case.pace, acceleration=acceleration * case.pace, jerk=jerk
     )
-    course = point_to_point(0.0, case.way, limits).sample(period)
-    return np.column_stack([course.position, course.velocity, course.acceleration])
-
-
-def _course(data: AxisData, case: AxisCase, period: float) -> tuple[Array, Array]:
-    """Return the reference of a case, shape (n, 3), and which samples are judged at rest."""
-    there = _way(data, case, period)
-    rest = round(REST / period)
-    hold, end = np.zeros((rest, 3)), np.array([case.way, 0.0, 0.0])
-    stay, back = hold + end, end - there
-    rows = np.concatenate([hold, there, stay, back, hold])
-    judged = np.zeros(len(rows), bool)
-    late = rest // 3
-    for place in (len(hold) + len(there) + len(stay), len(rows)):
-        judged[place - late : place] = True
-    return rows, judged
