@@ -270,7 +270,7 @@ def loop_limit(data: AxisData, tuned: TunedController) -> str:
         settings['bandwidth'] = settings.get('bandwidth', 1.0) * _STEP
         if settings['bandwidth'] > SETTINGS['bandwidth'][1]:
             break
-        margin = models.margin(_made(better, tuned.name, settings))
+        margin = models.margin(untold_controller(better, tuned.name, settings))
         if not margin.robust:
             break
         allowed = max(allowed, margin.crossover)
@@ -441,13 +441,13 @@ def tune_controller(
 
     def cost(point: Array) -> float:
         nonlocal tried
-        settings = _settings(ranges, point)
+        settings = settings_at(ranges, point)
         if models is not None:
-            shortfall = models.margin(_made(data, name, settings)).shortfall
+            shortfall = models.margin(untold_controller(data, name, settings)).shortfall
             if shortfall:
                 return _UNSTABLE * (1.0 + shortfall)
         tried += 1
-        return _cost(data, _figures_of(data, name, settings, cases))
+        return tuning_cost(data, _figures_of(data, name, settings, cases))
 
     def told(best: Array, convergence: float = 0.0) -> None:
         nonlocal done
@@ -459,7 +459,7 @@ def tune_controller(
     bounds = [(log(low), log(high)) for low, high, _ in ranges.values()]
     given: dict[str, Any] = {'x0': [log(plain) for _, _, plain in ranges.values()]}
     if models is not None:
-        given = {'init': _first_population(data, name, ranges, models, population, seed)}
+        given = {'init': stiff_settings(data, name, ranges, models, population, seed)}
     outcome = evolve(
         cost,
         bounds,
@@ -472,7 +472,7 @@ def tune_controller(
         tol=0.0,
         **given,
     )
-    judged = judged_controller(data, name, _settings(ranges, outcome.x), seed=seed)
+    judged = judged_controller(data, name, settings_at(ranges, outcome.x), seed=seed)
     return replace(judged, cost=float(outcome.fun), trials=tried)
 
 
@@ -494,14 +494,15 @@ def untuned_controllers(
     return tuple(judged_controller(data, name, settings, seed=seed) for name in names)
 
 
-def _made(data: AxisData, name: str, settings: Mapping[str, float]) -> AxisController:
+def untold_controller(data: AxisData, name: str, settings: Mapping[str, float]) -> AxisController:
+    """Return a controller of an axis, without a warning where its loop does not settle."""
     with warnings.catch_warnings():
         # What does not settle shows in its figures.
         warnings.simplefilter('ignore', ServoParamsWarning)
         return make_axis_controller(data, name, settings)
 
 
-def _first_population(
+def stiff_settings(
     data: AxisData,
     name: str,
     ranges: Mapping[str, tuple[float, float, float]],
@@ -517,7 +518,9 @@ def _first_population(
     low, high = np.log(np.array([(low, high) for low, high, _ in ranges.values()])).T
 
     def shortfall(point: Array) -> tuple[float, float]:
-        margin = models.margin(_made(data, name, _settings(ranges, point)), spread=False)
+        margin = models.margin(
+            untold_controller(data, name, settings_at(ranges, point)), spread=False
+        )
         return margin.shortfall, margin.yielding
 
     draw = qmc.LatinHypercube(len(ranges), seed=np.random.default_rng([seed, 1]))
@@ -572,8 +575,10 @@ def judged_controller(
     figures = _figures_of(data, name, settings, cases, plant)
     margin = None
     if data.knowledge.known_to:
-        margin = AxisModels(data).margin(_made(data, name, settings))
-    return TunedController(name, dict(settings), inf, 0, figures, _cost(data, figures), margin)
+        margin = AxisModels(data).margin(untold_controller(data, name, settings))
+    return TunedController(
+        name, dict(settings), inf, 0, figures, tuning_cost(data, figures), margin
+    )
 
 
 def _figures_of(
@@ -599,11 +604,11 @@ def _figures_of(
         Makes the axis that is driven, by default the simulated one of the data.
     """
     made = plant or (lambda case: _simulated_case(data, case))
-    controller = _made(data, name, settings)
+    controller = untold_controller(data, name, settings)
     return tuple(_drive_case(controller, made(case), data, case) for case in cases)
 
 
-def _case_cost(data: AxisData, figures: AxisFigures) -> float:
+def case_cost(data: AxisData, figures: AxisFigures) -> float:
     """Return what a case costs [m]: the geometric mean of its three errors, not below a count."""
     plant = data.known_plant()
     least = max(0.5 * plant.count, plant.noise, 1e-9)
@@ -611,8 +616,9 @@ def _case_cost(data: AxisData, figures: AxisFigures) -> float:
     return float(np.exp(np.mean([log(max(error, least)) for error in errors])))
 
 
-def _cost(data: AxisData, figures: Sequence[AxisFigures]) -> float:
-    costs = [_case_cost(data, one) for one in figures]
+def tuning_cost(data: AxisData, figures: Sequence[AxisFigures]) -> float:
+    """Return what figures of several cases cost [m]: the geometric mean of what each does."""
+    costs = [case_cost(data, one) for one in figures]
     if not all(map(isfinite, costs)):
         return inf
     # No accuracy elsewhere makes up for a loop that gives up.
@@ -627,7 +633,10 @@ def _logs(figures: Sequence[AxisFigures]) -> Array:
     )
 
 
-def _settings(ranges: Mapping[str, tuple[float, float, float]], point: Array) -> dict[str, float]:
+def settings_at(
+    ranges: Mapping[str, tuple[float, float, float]], point: Array
+) -> dict[str, float]:
+    """Return the settings at a point of the search, which has their logarithms."""
     return {
         name: float(np.clip(np.exp(value), low, high))
         for (name, (low, high, _)), value in zip(ranges.items(), point, strict=True)
