@@ -217,7 +217,10 @@ class ServoTrials:
             self._asked = asked if asked.controller else None
             if trial is not None:
                 trial.end('another trial was asked for')
-        elif trial is not None and trial.status == TrialStatus.RUNNING:
+            return
+        if not asked.controller:
+            self._asked = None
+        if trial is not None and trial.status == TrialStatus.RUNNING:
             if asked.controller:
                 trial.renew(asked.stamp)
             else:
@@ -392,8 +395,8 @@ def machine_forbids(machine: MachineState | None) -> str:
     """Say what of a machine forbids a trial; empty if nothing does."""
     if machine is None:
         return 'machine_state: expected what the machine does but nothing was heard of it'
-    if machine.state != MachineMode.ON:
-        return 'machine_state: expected drives that are on and no program but found otherwise'
+    if machine.state not in (MachineMode.ON, MachineMode.RUNNING):
+        return 'machine_state: expected drives that are on but found otherwise'
     if machine.spindle_speed != 0.0:  # also NaN
         return (
             f'spindle: expected one at rest but found {machine.spindle_speed:.4g} rad/s; stop it'

@@ -162,7 +162,6 @@ def test_force_and_error_have_their_limits():
     [
         ({'spindle_speed': 10.0}, 'spindle'),
         ({'spindle_speed': float('nan')}, 'spindle'),
-        ({'state': int(MachineMode.RUNNING)}, 'no program'),
     ],
 )
 def test_a_machine_that_begins_to_work_ends_it_and_lets_none_begin(change, reason):
