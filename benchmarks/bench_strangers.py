@@ -221,14 +221,13 @@ def row_text(row: dict[str, Any]) -> str:
     """Return the line of an axis; what is stated and wrong has a mark."""
     errors = ' '.join(f'{1e6 * row[key]:9.1f}' for key in ('untuned', 'written', 'best'))
     marks = [' ' if row['mode_true'] else '!', ' ' if row['delay_true'] else '!']
+    tried = ''
+    if 'tried' in row:
+        tried = f' on the machine {1e6 * row["tried"]:.1f} {row["tried_refused"]}'
     return (
         f'{row["seed"]:3} {row["kind"]:20} {row["how"]:5} {row["mode"]:>12}{marks[0]} '
         f'{row["delay"]:>11}{marks[1]} {errors} {row.get("controller", "")} {row["refused"]}'
-        + (
-            f' on the machine {1e6 * row["tried"]:.1f} {row["tried_refused"]}'
-            if 'tried' in row
-            else ''
-        )
+        f'{tried}'
     )
 
 
