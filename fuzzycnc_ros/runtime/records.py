@@ -529,7 +529,7 @@ class ServoTrial(Record):
 
     TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/ServoTrial'
 
-    axis: str
+    axis_name: str
     trial: int
     machine_file: str
     controller: str
@@ -547,7 +547,7 @@ class ServoTrialState(Record):
 
     TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/ServoTrialState'
 
-    axis: str
+    axis_name: str
     trial: int
     status: int
     reason: str

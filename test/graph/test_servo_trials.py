@@ -33,19 +33,21 @@ RATE = 0.2
 class Terminal:
     """A terminal in which the command runs, and a key that is held or not."""
 
-    def __init__(self, graph, *words):
+    def __init__(self, graph, log, *words):
         self._master, slave = os.openpty()
+        output = log.open('wb')
         environment = {**os.environ, 'ROS_DOMAIN_ID': str(graph.domain), 'OMP_NUM_THREADS': '1'}
         self.process = subprocess.Popen(
             [sys.executable, '-m', 'fuzzycnc_ros.cli.main', 'servo', 'tune', *words],
             stdin=slave,
-            stdout=subprocess.PIPE,
+            stdout=output,
             stderr=subprocess.STDOUT,
             env=environment,
             cwd=graph.tree,
             start_new_session=True,
         )
         os.close(slave)
+        output.close()
 
     @contextmanager
     def held(self):
@@ -111,6 +113,7 @@ def machine(graph, observer, tmp_path):
 def test_held_trials_are_made_and_those_of_a_lost_operator_end(machine, graph, observer, tmp_path):
     told = observer.records('servo_trial_state', ServoTrialState)
     states = observer.records('servo_state', ServoState)
+    log = tmp_path / 'log'
     words = ['--on-machine', '--machine-file', str(machine), '--trials', '1']
 
     def until(condition):
@@ -119,20 +122,20 @@ def test_held_trials_are_made_and_those_of_a_lost_operator_end(machine, graph, o
     def back():
         return states[-1].status == ServoStatus.RESTING and states[-1].reference[0] == 0.01
 
-    first = Terminal(graph, *words, '--out', str(tmp_path / 'one.yaml'))
+    first = Terminal(graph, log, *words, '--out', str(tmp_path / 'one.yaml'))
     with first.held():
         until(lambda: told and told[-1].status == TrialStatus.RUNNING)
     until(lambda: told[-1].reason == 'its operator has ended it')
     until(back)
     with first.held():  # the same one anew, and those at other gains
         until(lambda: first.process.poll() is not None)
-    assert first.process.returncode == 0, first.process.stdout.read()
+    assert first.process.returncode == 0, log.read_text()
     assert sum(item.status == TrialStatus.DONE for item in told) == 3
     assert read_machine_file(tmp_path / 'one.yaml').axes['Y'].controller == 'cascade'
     until(back)
     for lose in ('kill', 'close'):
         told.clear()
-        lost = Terminal(graph, *words, '--out', str(tmp_path / 'two.yaml'))
+        lost = Terminal(graph, log, *words, '--out', str(tmp_path / 'two.yaml'))
         with lost.held():
             until(lambda: told and told[-1].status == TrialStatus.RUNNING)
             if lose == 'kill':

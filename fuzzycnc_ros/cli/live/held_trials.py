@@ -137,7 +137,7 @@ class HeldTrials:
             self._until_ready()
             self._number += 1
             asked = {
-                'axis': self._axis,
+                'axis_name': self._axis,
                 'trial': self._number,
                 'machine_file': self._machine_file,
                 'controller': name,

@@ -149,7 +149,7 @@ class AxisTrial:
         figures = self._course.figures(self._errors) if done else None
         return ServoTrialState(
             stamp=stamp,
-            axis=self.axis.name,
+            axis_name=self.axis.name,
             trial=self.number,
             status=int(self.status),
             reason=self.reason,
@@ -256,14 +256,14 @@ class ServoTrials:
             refusal = busy or machine_forbids(machine) or self._misfit(asked)
             if refusal:
                 raise ValueError(refusal)
-            axis = next(one for one in axes if one.name == asked.axis)
-            self._trial = self._made(asked, axis, readings.get(asked.axis, nan))
+            axis = next(one for one in axes if one.name == asked.axis_name)
+            self._trial = self._made(asked, axis, readings.get(asked.axis_name, nan))
             self._told.append(self._trial.state(stamp))
         except ValueError as error:
             self._told.append(
                 ServoTrialState(
                     stamp=stamp,
-                    axis=asked.axis,
+                    axis_name=asked.axis_name,
                     trial=asked.trial,
                     status=int(TrialStatus.REFUSED),
                     reason=str(error),
@@ -319,7 +319,7 @@ class ServoTrials:
 
     def _misfit(self, asked: ServoTrial) -> str:
         """Say what of a trial does not suit its axis; empty if all does."""
-        name = asked.axis
+        name = asked.axis_name
         if name not in self._hashes:
             return (
                 f'axis: expected one of a machine file, {", ".join(self._hashes) or "none"}, but '
@@ -356,7 +356,7 @@ class ServoTrials:
         ValueError
             If it leads out of the travel, takes too long, or its loop is unstable on the model.
         """
-        data = self._known[asked.axis]
+        data = self._known[asked.axis_name]
         travel = data.limits.travel_low, data.limits.travel_high
         for place in (reading, axis.reference, axis.reference + asked.way):
             if not travel[0] <= place <= travel[1]:

@@ -117,7 +117,8 @@ class TrialSearch:
         self._try(*present, sure=True)
         first = self._found[0] if self._found else None
         for name, settings in starts:
-            self._try(name, settings)
+            if len(self._tried) < self._trials:
+                self._try(name, settings)
         if not self._found:
             raise ValueError(
                 'expected a controller that makes its way on the axis at half to one and a half '

@@ -46,7 +46,7 @@ class Tried(Axis):
     def sign(self, number=1, settings=GOOD, **changes):
         """Give a sign of life for a trial, or ask for one."""
         asked = {
-            'axis': 'X',
+            'axis_name': 'X',
             'machine_file': self.hash,
             'controller': 'pid',
             'setting': tuple(settings),
@@ -212,7 +212,7 @@ def test_feedback_that_stops_is_a_fault_in_a_trial_too():
     [
         (replace(DATA, limits=replace(DATA.limits, vertical=True)), {}, 'no brake'),
         (DATA, {'machine_file': '0' * 64}, 'machine file that servo_controller was started'),
-        (DATA, {'axis': 'Z'}, 'expected one of a machine file'),
+        (DATA, {'axis_name': 'Z'}, 'expected one of a machine file'),
         (DATA, {'way': 0.11}, 'within its travel'),
         (DATA, {'way': float('nan')}, 'expected a gain'),
         (DATA, {'pace': 0.002}, 'within 12 s'),

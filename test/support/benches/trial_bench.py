@@ -70,7 +70,7 @@ class TriedAxis:
         self._rest()
         self._number += 1
         asked = ServoTrial(
-            stamp=self._now, axis='X', trial=self._number, machine_file=self._hash,
+            stamp=self._now, axis_name='X', trial=self._number, machine_file=self._hash,
             controller=name, setting=tuple(settings), value=np.array([*settings.values()]),
             gain=case.gain, way=case.way, pace=case.pace, error_max=error_max,
         )  # fmt: skip

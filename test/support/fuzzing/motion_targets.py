@@ -187,7 +187,7 @@ class ServoTarget(CopiedTarget):
         if name == 'servo_trial':
             return ServoTrial(
                 stamp=stamp,
-                axis='X',
+                axis_name='X',
                 trial=rng.randrange(4),
                 machine_file=axis_hash('X', self.data),
                 controller='pid',
