@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from fuzzycnc_ros.cli.console import say
 from fuzzycnc_ros.cli.live.operator_client import OperatorClient
 from fuzzycnc_ros.core.servo.course import AxisFigures
 from fuzzycnc_ros.ros.presence import GraphError
@@ -177,13 +178,19 @@ class HeldTrials:
                 self._sign({**asked, 'controller': ''})
 
     def _until_ready(self) -> None:
-        """Wait until the key is held and the axis rests; a fault of the node is not waited for."""
+        """Wait until the key is held, the axis rests, and a fault of the node is mended."""
+        told = False
         while True:
             self._spin()
             state = self._state
-            if state is not None and state.status == ServoStatus.FAULT:
-                raise GraphError(f'servo_controller: {state.reason}; activate it again')
-            resting = state is not None and state.status != ServoStatus.MOVING
+            fault = state is not None and state.status == ServoStatus.FAULT
+            if state is not None and fault and not told:
+                say(
+                    f'servo_controller: {state.reason}; look at the axis, then go on with '
+                    '`fuzzycnc operate deactivate servo_controller` and `... activate ...`'
+                )
+                told = True
+            resting = state is not None and not fault and state.status != ServoStatus.MOVING
             if self._key.held and resting:
                 return
 
