@@ -214,6 +214,7 @@ class ServoController(Component[ServoControllerConfig]):
             if self._active:
                 return Answer(False, 'already active')
             self._begin()
+            self._trials.forget()
             self._missed = 0
             self._active = True
             return Answer(True, 'active: the axes are held where they are found')

@@ -253,7 +253,9 @@ class ServoTrials:
         if asked is None:
             return
         try:
-            refusal = busy or machine_forbids(machine) or self._misfit(asked)
+            late = stamp > asked.stamp + VALIDITY
+            refusal = 'its operator gave no sign of life for 0.5 s' if late else busy
+            refusal = refusal or machine_forbids(machine) or self._misfit(asked)
             if refusal:
                 raise ValueError(refusal)
             axis = next(one for one in axes if one.name == asked.axis_name)
@@ -311,6 +313,10 @@ class ServoTrials:
         if trial is not None:
             trial.end(why)
             self._told.append(trial.state(stamp))
+
+    def forget(self) -> None:
+        """Drop a wish that was not looked at yet: an activation begins no motion by itself."""
+        self._asked = None
 
     def told(self, frame_id: str) -> list[ServoTrialState]:
         """Return what has happened since it was asked last."""

@@ -245,6 +245,17 @@ def test_an_axis_outside_its_soft_limits_or_on_its_way_is_not_tried():
     assert 'at rest' in moving.outcome()[1]
 
 
+def test_an_activation_begins_no_trial_that_was_asked_for_before():
+    axis = Tried()
+    assert axis.request('deactivate').success
+    axis.sign()
+    axis.merger.advance(axis.now)
+    assert axis.request('activate').success
+    axis.run(0.1)
+    assert not axis.records('servo_trial_state')
+    assert axis.state.status == ServoStatus.RESTING
+
+
 def test_nothing_else_moves_the_axes_in_a_trial():
     axis = Tried()
     axis.held(0.2)
