@@ -39,8 +39,8 @@ _PACE, _SHARE, _TIME = 0.5, 0.2, 0.4
 [s]."""
 
 _STEP, _FINEST = 1.35, 1.06
-"""First and last factor by which a setting is changed from trial to trial.  The loop of the last
-one was stable at 1.6 times its gain, so the next one is."""
+"""First and last factor by which a setting is changed from trial to trial: from a loop that was
+stable at 1.6 times its gain, the next one begins without that factor."""
 
 _CANDIDATES = 4
 """Candidates per setting in the search for the stiffest loop that is stable on all models."""
