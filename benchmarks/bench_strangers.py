@@ -11,7 +11,8 @@ the same file and the best of 64 trials on the true axis itself.
 Seeds below 20 were looked at in development; those from 20 on were not.  Prints a row for each and
 what was asked for beside what came out.  Run with `python benchmarks/bench_strangers.py 20 40`; an
 axis takes two minutes or so.  `--trials 0` leaves the trials on the true axis out, `--json FILE`
-keeps the rows.
+keeps the rows.  `--on-machine` goes on from what is written with `servo tune --on-machine`, driven
+as the node drives an axis.
 """
 
 import os
@@ -33,6 +34,7 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / 'test' / 'support'))
+from benches.trial_bench import TriedAxis
 from strangers.axes import PERIOD, Axis, draw, search_best, stable
 
 from fuzzycnc_ros.core.identify.axis_data import IdentifiedAxis, identify_axis
@@ -50,6 +52,7 @@ from fuzzycnc_ros.core.servo.axis_control import (
     make_axis_controller,
 )
 from fuzzycnc_ros.core.servo.controller import AxisController
+from fuzzycnc_ros.simulation.servo.axis_trials import TrialSearch
 from fuzzycnc_ros.simulation.servo.axis_tuning import (
     AxisTuning,
     axis_cases,
@@ -130,9 +133,33 @@ def best_on_the_axis(axis: Axis, data: AxisData, trials: int) -> float:
     )
 
 
-def judged(piece: tuple[int, str, int, int, int]) -> dict[str, Any]:
+def tried(axis: Axis, data: AxisData) -> dict[str, Any]:
+    """Return what trials on the axis itself find, from the controller that is there on.
+
+    `tried` is its error [m], infinite where it is not stable; `tried_refused` why there is none.
+    `largest` is how far the axis was ever from where it was told to be [m], `faults` how often the
+    node gave it up.
+    """
+    itself = axis.copy()
+    itself.reset(0.0, seed=2)
+    data = replace(data, limits=replace(data.limits, vertical=axis.truth['vertical']))
+    drive = TriedAxis(data, itself.step)
+    try:
+        found = TrialSearch(data, drive).run().tuned(data)
+    except ValueError as error:
+        return {'tried_refused': str(error), 'tried': inf}
+    return {
+        'tried_refused': '',
+        'tried_by': found.controller,
+        'tried': true_error(axis, data, found.controller, dict(found.settings)),
+        'largest': drive.largest,
+        'faults': len(drive.faults),
+    }
+
+
+def judged(piece: tuple[int, str, int, int, int, bool]) -> dict[str, Any]:
     """Return the row of an axis: what is told, what is written, what it is worth."""
-    seed, how, generations, population, trials = piece
+    seed, how, generations, population, trials, on_machine = piece
     warnings.simplefilter('ignore')
     axis = draw(seed)
     truth = axis.truth
@@ -164,6 +191,8 @@ def judged(piece: tuple[int, str, int, int, int]) -> dict[str, Any]:
         return row
     row['controller'], row['settings'] = winner.controller, dict(winner.settings)
     row['written'] = true_error(axis, data, winner.controller, dict(winner.settings))
+    if on_machine:
+        row |= tried(axis, winner)
     return row
 
 
@@ -192,9 +221,13 @@ def row_text(row: dict[str, Any]) -> str:
     """Return the line of an axis; what is stated and wrong has a mark."""
     errors = ' '.join(f'{1e6 * row[key]:9.1f}' for key in ('untuned', 'written', 'best'))
     marks = [' ' if row['mode_true'] else '!', ' ' if row['delay_true'] else '!']
+    tried = ''
+    if 'tried' in row:
+        tried = f' on the machine {1e6 * row["tried"]:.1f} {row["tried_refused"]}'
     return (
         f'{row["seed"]:3} {row["kind"]:20} {row["how"]:5} {row["mode"]:>12}{marks[0]} '
         f'{row["delay"]:>11}{marks[1]} {errors} {row.get("controller", "")} {row["refused"]}'
+        f'{tried}'
     )
 
 
@@ -228,7 +261,23 @@ def shown(rows: list[dict[str, Any]]) -> None:
             f'(1.30); intervals '
             f'that hold the truth {told} of {2 * len(here)} (95 %)'
         )
+        _shown_tried(how, [row for row in kept if 'tried' in row])
     print(f'{len(seeds)} axes')
+
+
+def _shown_tried(how: str, rows: list[dict[str, Any]]) -> None:
+    """Print what trials on the machine amount to."""
+    if not rows:
+        return
+    there = [row for row in rows if not row['tried_refused']]
+    good = [row for row in there if isfinite(row['tried'])]
+    both = [log(row['tried'] / row['best']) for row in good if isfinite(row['best'])]
+    print(
+        f'{how}, on the machine: of {len(rows)} tried {len(there)}, of these unstable '
+        f'{len(there) - len(good)} (0); over trials on the true axis '
+        f'x{exp(float(np.mean(both))) if both else inf:.2f} (1.10); faults of the node '
+        f'{sum(row["faults"] for row in there)}'
+    )
 
 
 def main() -> int:
@@ -241,10 +290,11 @@ def main() -> int:
     options.add_argument('--trials', type=int, default=64, help='on the true axis; 0 for none')
     options.add_argument('--jobs', type=int, default=os.cpu_count())
     options.add_argument('--how', choices=WAYS, action='append')
+    options.add_argument('--on-machine', action='store_true')
     options.add_argument('--json', type=Path)
     asked = options.parse_args()
     pieces = [
-        (seed, how, asked.generations, asked.population, asked.trials)
+        (seed, how, asked.generations, asked.population, asked.trials, asked.on_machine)
         for seed in range(asked.first, asked.last)
         for how in asked.how or WAYS
     ]

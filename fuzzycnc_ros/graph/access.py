@@ -117,7 +117,7 @@ def access_of(node: str) -> Access:
         )
     if node == OPERATOR:
         return Access(
-            publish=('displacement', 'node_event', *own),
+            publish=('displacement', 'servo_trial', 'node_event', *own),
             subscribe=(EVERYTHING, '/clock', '/diagnostics'),
             reply=PARAMETERS,
             request=_offered(),

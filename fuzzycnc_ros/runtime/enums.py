@@ -80,6 +80,15 @@ class ServoStatus(IntEnum):
     FAULT = 4
 
 
+class TrialStatus(IntEnum):
+    """Outcome of a trial of a controller, `ServoTrialState.STATUS_*`."""
+
+    RUNNING = 0
+    DONE = 1
+    ENDED = 2
+    REFUSED = 3
+
+
 class SegmentKind(IntEnum):
     """Kind of a segment of a tool path, `ToolPath.KIND_*`."""
 

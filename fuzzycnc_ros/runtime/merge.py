@@ -26,6 +26,7 @@ from fuzzycnc_ros.runtime.records import (
     Record,
     SensorCluster,
     SensorSelection,
+    ServoTrial,
     Temperatures,
     ThermalError,
     ThermalPosterior,
@@ -57,6 +58,7 @@ PARALLEL: dict[type[Any], dict[str, tuple[str, ...]]] = {
     ProbeCycleState: {'zero': ('size', 'noise')},
     ProbeEvidence: {'axis': ('channel', 'evidence')},
     ProbeStatus: {'axis': ('channel', 'band', 'change')},
+    ServoTrial: {'setting': ('value',)},
     ThermalPosterior: {'axis': ('channel', 'probes', 'evidence')},
     ThermalReference: {'sensor': ('temperature',)},
 }

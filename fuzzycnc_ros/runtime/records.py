@@ -524,6 +524,39 @@ class ServoState(Record):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class ServoTrial(Record):
+    """A controller that an operator tries on an axis."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/ServoTrial'
+
+    axis_name: str
+    trial: int
+    machine_file: str
+    controller: str
+    setting: Names
+    value: Floats
+    gain: float
+    way: float
+    pace: float
+    error_max: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ServoTrialState(Record):
+    """Outcome of a trial of a controller on an axis."""
+
+    TYPE: ClassVar[str] = 'fuzzycnc_msgs/msg/ServoTrialState'
+
+    axis_name: str
+    trial: int
+    status: int
+    reason: str
+    rms: float
+    largest: float
+    rest: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ContourError(Record):
     """Distance of the tool from its path over a stretch of time."""
 

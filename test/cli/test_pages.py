@@ -33,6 +33,7 @@ ELSEWHERE = {
     'operate status  # ': 'needs a DDS with security, which the wheels do not have',
     'operate activate  # ': 'the same',
     'operate probe X=3um@': 'needs a predictor that runs: test/cli/live reads such values',
+    'servo tune --on-machine': 'needs a machine and a key that is held: test/graph has both',
     'fleet evaluate shop --dask': 'needs a scheduler of Dask: test/cli/fleet starts one',
 }
 """Beginnings of commands that are not run here, and why."""

@@ -57,6 +57,7 @@ ENUMS = [
     ('ToolPath', 'JUNCTION', codes.Junction),
     ('TrajectoryState', 'STATUS', TrajectoryStatus),
     ('ServoState', 'STATUS', codes.ServoStatus),
+    ('ServoTrialState', 'STATUS', codes.TrialStatus),
     ('StitchPattern', 'KIND', codes.PrimitiveKind),
     ('CompensatedPath', 'FLAG', StepFlag),
 ]

@@ -28,6 +28,7 @@ from fuzzycnc_ros.cli.console import (
     check_at_least,
     check_folder,
     check_new,
+    check_ros,
     progress_bar,
     say,
     show,
@@ -58,6 +59,7 @@ HELP = """Compare, learn, tune and judge controllers that position an axis.
     fuzzycnc servo compare --report controllers.html
     fuzzycnc servo learn run --out rules.yaml
     fuzzycnc servo tune --machine-file mill.yaml --axis X --out tuned.yaml
+    fuzzycnc servo tune --on-machine --machine-file mill.yaml --axis X --out tuned.yaml
     fuzzycnc servo stability --machine-file tuned.yaml --axis X
     fuzzycnc servo export --machine-file tuned.yaml --axis X --out axis_x.c
 
@@ -181,6 +183,17 @@ def tune(
         ),
     ] = [ALL],  # noqa: B006
     seed: Annotated[int, typer.Option(help='Seed of the search.')] = 0,
+    on_machine: Annotated[
+        bool,
+        typer.Option(
+            '--on-machine',
+            help='Try controllers on the axis itself, which servo_controller drives.',
+        ),
+    ] = False,
+    trials: Annotated[int, typer.Option(help='Controllers that --on-machine tries at most.')] = 48,
+    machine: Annotated[
+        str, typer.Option(help='Name of the machine for --on-machine: the namespace of its nodes.')
+    ] = 'mill',
     jobs: Jobs = None,
     json_file: JsonFile = None,
 ) -> None:
@@ -198,14 +211,30 @@ def tune(
 
         fuzzycnc servo tune --out tuned.yaml
         fuzzycnc servo tune --search output_gain,disturbance --generations 10 --out few.yaml
+
+    With --on-machine the controllers drive the axis itself, through the running servo_controller:
+    short ways there and back, for as long as the space bar is held. What swings is ended at once,
+    and the controller that was there comes back.
+
+        fuzzycnc servo tune --on-machine --machine-file mill.yaml --axis X --out tuned.yaml
     """
-    from fuzzycnc_ros.cli.axes.servo_machine import Effort, tune_machine_axis
+    from fuzzycnc_ros.cli.axes.servo_machine import Effort, tune_machine_axis, tune_on_machine
 
     check_at_least('--population', population, 1)
     check_at_least('--seed', seed, 0)
     check_at_least('--generations', generations, 1)
     check_new(out)
     check_folder(json_file)
+    if on_machine:
+        check_at_least('--trials', trials, 1)
+        if machine_file is None:
+            raise ValueError(
+                '--machine-file: expected the one that servo_controller was started with, for '
+                '--on-machine, but found none'
+            )
+        check_ros('servo tune --on-machine')
+        tune_on_machine(machine_file, axis, out, trials, machine, json_file)
+        return
     if machine_file is None:
         machine_file, axis = axis or AXES[0], ''
         check_axis(machine_file)

@@ -217,7 +217,6 @@ def tune_machine_axis(
     """Tune all controllers of an axis, and write the machine file with the one that suits it."""
     from fuzzycnc_ros.cli.workers import in_workers
     from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS, SETTINGS, WITH_PARAMS
-    from fuzzycnc_ros.machine_file.writer import machine_text
     from fuzzycnc_ros.simulation.servo.axis_tuning import (
         AxisTuning,
         axis_cases,
@@ -245,8 +244,7 @@ def tune_machine_axis(
     for line in axis_tuning_remarks(found):
         remark(line)
     winner = found.winner
-    axes = dict(machine.axes)
-    axes[name] = found.tuned(data)
+    tuned = found.tuned(data)
     if winner.margin is not None:
         say(f'what limits it: {loop_limit(data, winner)}')
     about = f'controller of {name}: untuned, as tuning made it no better'
@@ -255,10 +253,58 @@ def tune_machine_axis(
             f'controller of {name}: tuned, seed {effort.seed}, {winner.trials} trials for each of '
             f'{len(controllers)} kinds'
         )
+    _write_tuned(out, machine, name, tuned, about)
+    write_json(json_file, axis_tuning_document(found))
+
+
+def tune_on_machine(
+    file: str, axis: str, out: Path, trials: int, machine_name: str, json_file: Path | None
+) -> None:
+    """Tune the controller of an axis by trials on it, and write the machine file with it.
+
+    Raises
+    ------
+    ValueError
+        If no controller makes its way.
+    GraphError
+        If the node refuses the trials, or is lost.
+    """
+    from fuzzycnc_ros.cli.live.held_trials import HeldKey, HeldTrials
+    from fuzzycnc_ros.cli.live.operator_client import OperatorClient
+    from fuzzycnc_ros.core.machine.machine_data import axis_hash
+    from fuzzycnc_ros.simulation.servo.axis_trials import TrialSearch
+    from fuzzycnc_ros.studies.servo.axis_tuning_tables import (
+        axis_trials_table,
+        axis_tuning_document,
+    )
+
+    machine, name, data = machine_axis(file, axis)
+    with OperatorClient(machine_name) as operator, HeldKey() as key:
+        drive = HeldTrials(operator, key, name, axis_hash(name, data))
+        say(f'{name} is about to move. Hold the space bar; let it go to stop.')
+        with progress_bar('trying on the axis') as tell:
+            search = TrialSearch(
+                data, drive, trials=trials, progress=lambda done, total: tell(name, done, total)
+            )
+            found = search.run()
+    show(axis_trials_table(found, f'Axis {name} of {machine.name}'))
+    for reason in dict.fromkeys(search.reasons):
+        say(f'{search.reasons.count(reason)} given up: {reason}')
+    about = f'controller of {name}: as it was, as trials on the axis made it no better'
+    if found.winner.trials:
+        about = f'controller of {name}: tuned by {found.winner.trials} trials on the axis'
+    _write_tuned(out, machine, name, found.tuned(data), about)
+    write_json(json_file, axis_tuning_document(found))
+
+
+def _write_tuned(out: Path, machine: MachineData, name: str, data: AxisData, about: str) -> None:
+    """Write a machine file with the tuned controller of an axis."""
+    from fuzzycnc_ros.machine_file.writer import machine_text
+
+    axes = {**machine.axes, name: data}
     ini = machine.source.get('linuxcnc.ini', '')
     write_text(out, machine_text(replace(machine, axes=axes), ini=ini, about=about))
     say(f'{out}: the machine file with it, for `fuzzycnc position --machine-file {out}`')
-    write_json(json_file, axis_tuning_document(found))
 
 
 def compare_machine_axis(file: str, axis: str, seed: int, json_file: Path | None) -> None:

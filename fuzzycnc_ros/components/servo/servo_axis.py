@@ -38,6 +38,10 @@ class ServoAxis:
         As given.
     motion : MotionWatch
         Judge of what its duties do.
+    gain : float
+        Factor on the controller's duty [-]: that of a trial, else 1.
+    duty : float
+        Duty of the last period [-].
     reference, velocity, acceleration : float
         Where the axis is to be [m], and how it is to move [m/s, m/s^2]; NaN before the first
         reading.
@@ -52,8 +56,9 @@ class ServoAxis:
     ) -> None:
         self.name, self.controller = name, controller
         self.motion = MotionWatch(controller.axis, controller.watch.limits, doubt)
+        self._own = controller
         self._low, self._high = travel
-        self._duty = 0.0
+        self.gain, self.duty = 1.0, 0.0
         self._silent = False
         self.release()
 
@@ -71,7 +76,7 @@ class ServoAxis:
         """Forget where the axis is to be: it rests where the next reading finds it."""
         self.reference = float('nan')
         self.motion.reset()
-        self._duty = 0.0
+        self.controller, self.gain, self.duty = self._own, 1.0, 0.0
         self.stop()
 
     def stop(self) -> None:
@@ -85,6 +90,38 @@ class ServoAxis:
         if isfinite(position):
             self.controller.reset(position)
             self.reference = position
+
+    def lend(self, controller: AxisController, gain: float, reading: float) -> None:
+        """Have another controller drive the axis, with a factor on its duty.
+
+        Parameters
+        ----------
+        controller : AxisController
+            Takes over without a bump.
+        gain : float
+            Factor [-].
+        reading : float
+            Where the axis reads at rest [m].
+        """
+        controller.reset(reading, self.duty / gain)
+        self.controller, self.gain = controller, gain
+
+    def give_back(self, duty: float, reading: float) -> None:
+        """Have the axis' own controller drive it again.
+
+        Parameters
+        ----------
+        duty : float
+            Duty that holds the axis at rest [-].
+        reading : float
+            Where it reads [m].
+        """
+        self._own.reset(reading, duty)
+        self.controller, self.gain = self._own, 1.0
+
+    def take_over(self, reading: float) -> None:
+        """Have the controller that is there now decide the duty of this period."""
+        self.duty = self.controller.step(self.reference, reading, self.velocity, self.acceleration)
 
     def refusal(self, target: float, velocity: float) -> str:
         """Say why the axis is not sent to a position [m] so fast [m/s]; empty if it may be."""
@@ -173,11 +210,11 @@ class ServoAxis:
 
     def _step(self, reading: float) -> float:
         """Move the reference on by a period; return the duty [-]."""
-        self.motion.hold(self._duty)
+        self.motion.hold(self.duty)
         if self._next < len(self._rows):
             self.reference, self.velocity, self.acceleration = self._rows[self._next]
             self._next += 1
-        self._duty = self.controller.step(
-            self.reference, reading, self.velocity, self.acceleration
-        )
-        return self._duty
+        duty = self.controller.step(self.reference, reading, self.velocity, self.acceleration)
+        top = self.controller.duty_max
+        self.duty = min(max(self.gain * duty, -top), top)
+        return self.duty

@@ -24,6 +24,7 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
     profile_limits,
     trajectory_limits,
 )
+from fuzzycnc_ros.components.servo.servo_trial import ServoTrials
 from fuzzycnc_ros.components.servo.setpoints import TrajectoryFollower
 from fuzzycnc_ros.runtime.component import (
     Answer,
@@ -41,6 +42,8 @@ from fuzzycnc_ros.runtime.records import (
     MachineState,
     PositionCommand,
     ServoState,
+    ServoTrial,
+    ServoTrialState,
     Trajectory,
     nanoseconds,
 )
@@ -58,13 +61,19 @@ class ServoController(Component[ServoControllerConfig]):
     NAME = 'servo_controller'
     SUMMARY = 'Positions the axes by variable-universe fuzzy control. Managed lifecycle.'
     CONFIG = ServoControllerConfig
+    MACHINE = Input('machine_state', MachineState, quiet=True)
     INPUTS = (
-        Input('machine_state', MachineState, quiet=True),
+        MACHINE,
         Input('position_command', PositionCommand, quiet=True, paced=False),
         Input('trajectory', Trajectory, quiet=True),
+        Input('servo_trial', ServoTrial, quiet=True, sole=True, paced=False),
         Input('axis_state', AxisState, driving=True),
     )
-    OUTPUTS = (Output('axis_command', AxisCommand), Output('servo_state', ServoState))
+    OUTPUTS = (
+        Output('axis_command', AxisCommand),
+        Output('servo_state', ServoState),
+        Output('servo_trial_state', ServoTrialState),
+    )
     MANAGED = True
 
     def __init__(self, config: ServoControllerConfig | None = None) -> None:
@@ -81,6 +90,7 @@ class ServoController(Component[ServoControllerConfig]):
         ]
         self._names = tuple(axis.name for axis in self._axes)
         self._lead = TrajectoryFollower(self._names, trajectory_limits(self._config))
+        self._trials = ServoTrials(self._config)
         self._led = False
         self._period = nanoseconds(self._config.period)
         self._tolerance = round(LATENESS * self._period)
@@ -128,6 +138,9 @@ class ServoController(Component[ServoControllerConfig]):
         """Take a part of a trajectory; axes on the way to a position refuse it."""
         if not self._active or self._fault or self._forbidden or self._at is None:
             return  # the machine side says the same
+        if self._trials.running:
+            self._refusal = f'trajectory {part.path_id}: a controller is being tried'
+            return
         if any(axis.moving for axis in self._axes) or self._wanted is not None:
             self._refusal = f'trajectory {part.path_id}: the axes are on the way to a position'
             return
@@ -137,6 +150,10 @@ class ServoController(Component[ServoControllerConfig]):
         places = [axis.reference for axis in self._axes]
         self._refusal = self._lead.command(part, places, self._at)
 
+    def on_servo_trial(self, asked: ServoTrial) -> None:
+        """Take a trial of a controller, or its operator's sign of life, for the next period."""
+        self._trials.take(asked)
+
     def renewed(self, step: int) -> 'tuple[ServoController, list[Emission]]':
         """Forget all but the epoch: the machine side believes no lower one."""
         fresh = self._afresh()
@@ -145,6 +162,14 @@ class ServoController(Component[ServoControllerConfig]):
 
     def on_axis_state(self, state: AxisState) -> Iterator[Emission]:
         """Answer a control period."""
+        yield from self._answer(state)
+        readings = dict(zip(state.axis, state.position.tolist(), strict=False))
+        machine = self.last(self.MACHINE)
+        self._trials.begin(self._axes, readings, machine, self._busy, state.stamp)
+        for told in self._trials.told(self.frame('workpiece')):
+            yield Emission('servo_trial_state', told)
+
+    def _answer(self, state: AxisState) -> Iterator[Emission]:
         stamp = state.stamp
         if not self._active:
             yield from self._tell(stamp)
@@ -189,6 +214,7 @@ class ServoController(Component[ServoControllerConfig]):
             if self._active:
                 return Answer(False, 'already active')
             self._begin()
+            self._trials.forget()
             self._missed = 0
             self._active = True
             return Answer(True, 'active: the axes are held where they are found')
@@ -241,6 +267,17 @@ class ServoController(Component[ServoControllerConfig]):
         moving = any(axis.moving for axis in self._axes)
         return ServoStatus.MOVING if moving else ServoStatus.RESTING
 
+    @property
+    def _busy(self) -> str:
+        """Why no controller may be tried now, as far as it is known here; empty if one may."""
+        if not self._active:
+            return 'servo_controller: expected an active node but found one that is not'
+        if self._fault:
+            return f'servo_controller: expected no alarm but found: {self._fault}'
+        resting = self._status == ServoStatus.RESTING and self._wanted is None
+        known = all(axis.reference == axis.reference for axis in self._axes)
+        return '' if resting and known else 'axes: expected all at rest but found them moving'
+
     def _begin(self) -> None:
         """Start over: nothing is known of where the axes are, and nothing is wrong."""
         self._at = self._wanted = None
@@ -251,6 +288,7 @@ class ServoController(Component[ServoControllerConfig]):
     def _release(self) -> None:
         """Let go of the axes; the next reading takes them over anew."""
         self._lead.stop()
+        self._trials.give_up('the axes were released', self._at or 0)
         for axis in self._axes:
             axis.release()
 
@@ -266,7 +304,7 @@ class ServoController(Component[ServoControllerConfig]):
         list of float
             Duties [-].
         """
-        zero = [0.0] * len(self._axes)
+        zero, unheard = [0.0] * len(self._axes), [nan] * len(self._axes)
         if self._fault:
             return zero
         if self._forbidden:
@@ -284,14 +322,21 @@ class ServoController(Component[ServoControllerConfig]):
         if self._wanted is not None:
             self._go(self._wanted)
         self._follow()
+        for axis, reading in zip(self._axes, readings or unheard, strict=True):
+            if readings is None:
+                axis.bridge()
+            else:
+                axis.step(reading)
+        assert self._at is not None
+        if self._trials.running:
+            self._trials.judge(self._axes, readings or unheard, self.last(self.MACHINE), self._at)
         if readings is None:
-            return [axis.bridge() for axis in self._axes]
-        duties = [axis.step(reading) for axis, reading in zip(self._axes, readings, strict=True)]
+            return [axis.duty for axis in self._axes]
         for axis in self._axes:
             if axis.fault:
                 self._give_up(f'{axis.name}: {axis.fault}')
                 return zero
-        return duties
+        return [axis.duty for axis in self._axes]
 
     def _follow(self) -> None:
         """Lead the axes along the trajectory, if there is one."""
@@ -310,6 +355,7 @@ class ServoController(Component[ServoControllerConfig]):
         self._fault = why
         self._wanted = None
         self._lead.stop()
+        self._trials.give_up(why, self._at or 0)
         for each in self._axes:
             each.stop()
 
@@ -321,6 +367,8 @@ class ServoController(Component[ServoControllerConfig]):
             return f'position_command: {self._forbidden}'
         if self._lead.following:
             return 'position_command: a trajectory is being followed'
+        if self._trials.running:
+            return 'position_command: a controller is being tried'
         sizes = {len(command.axis), len(command.position), len(command.velocity)}
         if len(sizes) != 1 or not command.axis:
             return 'position_command: expected one position and velocity per axis'

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of `servo_controller`, and the controllers that they mean."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 from fuzzycnc_ros.components.servo.servo_axes import (
@@ -213,7 +214,8 @@ def make_controllers(config: ServoControllerConfig) -> dict[str, AxisController]
     ):
         direction = -1.0 if name in config.reversed_axes else 1.0
         if model == FROM_FILE:
-            found[name] = _file_controller(config, name, data)
+            asked = '' if config.axis_controller == FROM_FILE else config.axis_controller
+            found[name] = file_controller(config, name, data, asked)
         else:
             found[name] = built_in_controller(
                 model,
@@ -256,19 +258,41 @@ def motion_doubt(data: AxisData) -> MotionDoubt:
     return MotionDoubt(friction=data.limits.friction, load=data.limits.load)
 
 
-def _file_controller(config: ServoControllerConfig, name: str, data: AxisData) -> AxisController:
-    """Return the controller of an axis of a machine file."""
+def file_controller(
+    config: ServoControllerConfig,
+    name: str,
+    data: AxisData,
+    controller: str,
+    settings: Mapping[str, float] | None = None,
+) -> AxisController:
+    """Return a controller of an axis of a machine file.
+
+    Parameters
+    ----------
+    config : ServoControllerConfig
+        Parameters of the servo controller.
+    name, data
+        The axis.
+    controller : str
+        Its controller; empty for that of the file.
+    settings : mapping of str to float, optional
+        Its settings; by default those of the file, if the controller is that of the file.
+
+    Raises
+    ------
+    ValueError
+        If they do not fit each other.
+    """
     assert data.plant is not None
     direction = -1.0 if name in config.reversed_axes else data.plant.direction
     duty = min(config.duty_max, data.plant.duty_max)
     known = replace(data, plant=replace(data.plant, direction=direction, duty_max=duty))
-    asked = '' if config.axis_controller == FROM_FILE else config.axis_controller
     try:
-        controller = make_axis_controller(known, asked)
+        made = make_axis_controller(known, controller, settings)
     except ValueError as error:
         raise ValueError(f'axis_data: {name}: {error}') from error
-    controller.watch.limits = replace(controller.watch.limits, bad_max=config.missed_max)
-    return controller
+    made.watch.limits = replace(made.watch.limits, bad_max=config.missed_max)
+    return made
 
 
 def _believed(config: ServoControllerConfig, limits: FeedbackLimits) -> FeedbackLimits:

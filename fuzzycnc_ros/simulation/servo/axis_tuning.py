@@ -25,12 +25,10 @@ from fuzzycnc_ros.core.servo.axis_control import (
     untuned_settings,
 )
 from fuzzycnc_ros.core.servo.controller import AxisController
+from fuzzycnc_ros.core.servo.course import REST, AxisFigures, single_way, there_and_back
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning
-from fuzzycnc_ros.core.servo.profile import ProfileLimits, point_to_point
+from fuzzycnc_ros.core.servo.profile import ProfileLimits
 from fuzzycnc_ros.simulation.servo.axes import AxisPlant, simulated_axis
-
-REST = 0.3
-"""Rest before, between and after the two ways of a case [s]."""
 
 GAINS = (0.5, 0.75, 1.0, 1.4, 2.0)
 """Factors on the gain for which an axis is tuned."""
@@ -119,24 +117,6 @@ class AxisCase:
     pace: float = 1.0
     delay: float = 0.0
     seed: int = 0
-
-
-@dataclass(frozen=True, kw_only=True)
-class AxisFigures:
-    """Figures of a controller in a case.
-
-    Attributes
-    ----------
-    rms, largest, rest : float
-        Following error [m]: RMS, largest, and RMS over the last parts of the rests.
-    fault : str
-        Why it gave up; empty if it did not.
-    """
-
-    rms: float
-    largest: float
-    rest: float
-    fault: str = ''
 
 
 @dataclass(frozen=True)
@@ -290,7 +270,7 @@ def loop_limit(data: AxisData, tuned: TunedController) -> str:
         settings['bandwidth'] = settings.get('bandwidth', 1.0) * _STEP
         if settings['bandwidth'] > SETTINGS['bandwidth'][1]:
             break
-        margin = models.margin(_made(better, tuned.name, settings))
+        margin = models.margin(untold_controller(better, tuned.name, settings))
         if not margin.robust:
             break
         allowed = max(allowed, margin.crossover)
@@ -377,11 +357,11 @@ def _drive_case(
         Way and pace.
     """
     period = plant.period
-    rows, judged = _course(data, case, period)
+    course = there_and_back(case.way, _case_limits(data, case), period)
     width = round(_PULSE / period)
     controller.reset(plant.measure())
-    errors = np.empty(len(rows))
-    for step, (place, speed, rise) in enumerate(rows.tolist()):
+    errors = np.empty(len(course.rows))
+    for step, (place, speed, rise) in enumerate(course.rows.tolist()):
         errors[step] = place - plant.position
         duty = controller.step(place, plant.measure(), speed, rise)
         # What acts on the drive is what loads it; its range has to hold both.
@@ -389,16 +369,13 @@ def _drive_case(
         if controller.watch.fault:
             lost = _GIVEN_UP * (data.limits.travel_high - data.limits.travel_low)
             return AxisFigures(rms=lost, largest=lost, rest=lost, fault=controller.watch.fault)
-    return AxisFigures(
-        rms=float(np.sqrt((errors**2).mean())),
-        largest=float(np.abs(errors).max()),
-        rest=float(np.sqrt((errors[judged] ** 2).mean())),
-    )
+    return course.figures(errors)
 
 
 def load_time(data: AxisData, case: AxisCase, period: float) -> float:
     """Return when the load of a case sets in: amid the rest before the way back [s]."""
-    return REST + _way(data, case, period)[:, 0].size * period + 0.3 * REST
+    there = single_way(case.way, _case_limits(data, case), period)
+    return REST + len(there) * period + 0.3 * REST
 
 
 def _simulated_case(data: AxisData, case: AxisCase) -> AxisPlant:
@@ -464,13 +441,13 @@ def tune_controller(
 
     def cost(point: Array) -> float:
         nonlocal tried
-        settings = _settings(ranges, point)
+        settings = settings_at(ranges, point)
         if models is not None:
-            shortfall = models.margin(_made(data, name, settings)).shortfall
+            shortfall = models.margin(untold_controller(data, name, settings)).shortfall
             if shortfall:
                 return _UNSTABLE * (1.0 + shortfall)
         tried += 1
-        return _cost(data, _figures_of(data, name, settings, cases))
+        return tuning_cost(data, _figures_of(data, name, settings, cases))
 
     def told(best: Array, convergence: float = 0.0) -> None:
         nonlocal done
@@ -482,7 +459,7 @@ def tune_controller(
     bounds = [(log(low), log(high)) for low, high, _ in ranges.values()]
     given: dict[str, Any] = {'x0': [log(plain) for _, _, plain in ranges.values()]}
     if models is not None:
-        given = {'init': _first_population(data, name, ranges, models, population, seed)}
+        given = {'init': stiff_settings(data, name, ranges, models, population, seed)}
     outcome = evolve(
         cost,
         bounds,
@@ -495,7 +472,7 @@ def tune_controller(
         tol=0.0,
         **given,
     )
-    judged = judged_controller(data, name, _settings(ranges, outcome.x), seed=seed)
+    judged = judged_controller(data, name, settings_at(ranges, outcome.x), seed=seed)
     return replace(judged, cost=float(outcome.fun), trials=tried)
 
 
@@ -517,14 +494,15 @@ def untuned_controllers(
     return tuple(judged_controller(data, name, settings, seed=seed) for name in names)
 
 
-def _made(data: AxisData, name: str, settings: Mapping[str, float]) -> AxisController:
+def untold_controller(data: AxisData, name: str, settings: Mapping[str, float]) -> AxisController:
+    """Return a controller of an axis, without a warning where its loop does not settle."""
     with warnings.catch_warnings():
         # What does not settle shows in its figures.
         warnings.simplefilter('ignore', ServoParamsWarning)
         return make_axis_controller(data, name, settings)
 
 
-def _first_population(
+def stiff_settings(
     data: AxisData,
     name: str,
     ranges: Mapping[str, tuple[float, float, float]],
@@ -540,7 +518,9 @@ def _first_population(
     low, high = np.log(np.array([(low, high) for low, high, _ in ranges.values()])).T
 
     def shortfall(point: Array) -> tuple[float, float]:
-        margin = models.margin(_made(data, name, _settings(ranges, point)), spread=False)
+        margin = models.margin(
+            untold_controller(data, name, settings_at(ranges, point)), spread=False
+        )
         return margin.shortfall, margin.yielding
 
     draw = qmc.LatinHypercube(len(ranges), seed=np.random.default_rng([seed, 1]))
@@ -595,8 +575,10 @@ def judged_controller(
     figures = _figures_of(data, name, settings, cases, plant)
     margin = None
     if data.knowledge.known_to:
-        margin = AxisModels(data).margin(_made(data, name, settings))
-    return TunedController(name, dict(settings), inf, 0, figures, _cost(data, figures), margin)
+        margin = AxisModels(data).margin(untold_controller(data, name, settings))
+    return TunedController(
+        name, dict(settings), inf, 0, figures, tuning_cost(data, figures), margin
+    )
 
 
 def _figures_of(
@@ -622,11 +604,11 @@ def _figures_of(
         Makes the axis that is driven, by default the simulated one of the data.
     """
     made = plant or (lambda case: _simulated_case(data, case))
-    controller = _made(data, name, settings)
+    controller = untold_controller(data, name, settings)
     return tuple(_drive_case(controller, made(case), data, case) for case in cases)
 
 
-def _case_cost(data: AxisData, figures: AxisFigures) -> float:
+def case_cost(data: AxisData, figures: AxisFigures) -> float:
     """Return what a case costs [m]: the geometric mean of its three errors, not below a count."""
     plant = data.known_plant()
     least = max(0.5 * plant.count, plant.noise, 1e-9)
@@ -634,8 +616,9 @@ def _case_cost(data: AxisData, figures: AxisFigures) -> float:
     return float(np.exp(np.mean([log(max(error, least)) for error in errors])))
 
 
-def _cost(data: AxisData, figures: Sequence[AxisFigures]) -> float:
-    costs = [_case_cost(data, one) for one in figures]
+def tuning_cost(data: AxisData, figures: Sequence[AxisFigures]) -> float:
+    """Return what figures of several cases cost [m]: the geometric mean of what each does."""
+    costs = [case_cost(data, one) for one in figures]
     if not all(map(isfinite, costs)):
         return inf
     # No accuracy elsewhere makes up for a loop that gives up.
@@ -650,32 +633,18 @@ def _logs(figures: Sequence[AxisFigures]) -> Array:
     )
 
 
-def _settings(ranges: Mapping[str, tuple[float, float, float]], point: Array) -> dict[str, float]:
+def settings_at(
+    ranges: Mapping[str, tuple[float, float, float]], point: Array
+) -> dict[str, float]:
+    """Return the settings at a point of the search, which has their logarithms."""
     return {
         name: float(np.clip(np.exp(value), low, high))
         for (name, (low, high, _)), value in zip(ranges.items(), point, strict=True)
     }
 
 
-def _way(data: AxisData, case: AxisCase, period: float) -> Array:
-    """Return position, velocity and acceleration over a way, shape (n, 3)."""
+def _case_limits(data: AxisData, case: AxisCase) -> ProfileLimits:
     velocity, acceleration, jerk = data.limits.positioning
-    limits = ProfileLimits(
+    return ProfileLimits(
         velocity=velocity * case.pace, acceleration=acceleration * case.pace, jerk=jerk
     )
-    course = point_to_point(0.0, case.way, limits).sample(period)
-    return np.column_stack([course.position, course.velocity, course.acceleration])
-
-
-def _course(data: AxisData, case: AxisCase, period: float) -> tuple[Array, Array]:
-    """Return the reference of a case, shape (n, 3), and which samples are judged at rest."""
-    there = _way(data, case, period)
-    rest = round(REST / period)
-    hold, end = np.zeros((rest, 3)), np.array([case.way, 0.0, 0.0])
-    stay, back = hold + end, end - there
-    rows = np.concatenate([hold, there, stay, back, hold])
-    judged = np.zeros(len(rows), bool)
-    late = rest // 3
-    for place in (len(hold) + len(there) + len(stay), len(rows)):
-        judged[place - late : place] = True
-    return rows, judged

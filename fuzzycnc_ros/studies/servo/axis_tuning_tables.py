@@ -65,6 +65,29 @@ def axis_tuning_table(found: AxisTuning, axis: str) -> Table:
     )
 
 
+def axis_trials_table(found: AxisTuning, axis: str) -> Table:
+    """Return the best of each kind of controller that was tried on an axis."""
+    gains = [case.gain for case in found.held_out]
+    rows = tuple(
+        (
+            LABELS[one.name] + ('' if one.trials else ', as it was'),
+            *(f'{1e6 * item.rms:.3g}' for item in one.held_out),
+            *(f'{1e6 * item.largest:.3g}' for item in one.held_out),
+            f'x{one.against(found.best)[0]:.2f}',
+        )
+        for one in found.controllers
+    )
+    columns = (
+        Column('Controller', numeric=False),
+        *(Column(f'rms x{gain:g}', 'following error [µm]') for gain in gains),
+        *(Column(f'largest x{gain:g}', 'following error [µm]') for gain in gains),
+        Column('against the best'),
+    )
+    winner = found.controllers.index(found.winner)
+    title = f'{axis}: tried on the axis itself, with factors on the duty'
+    return Table(title, columns, rows, highlight=frozenset({winner}))
+
+
 FIGURES = ('rms', 'largest', 'rest')
 """Figures of a case that are shown."""
 

@@ -13,12 +13,16 @@ from fuzzing.targets import CopiedTarget, work
 from fuzzycnc_ros.components.motion.feedrate_scheduler import FeedrateScheduler
 from fuzzycnc_ros.components.motion.joint_trajectory_bridge import JointTrajectoryBridge
 from fuzzycnc_ros.components.servo.servo_controller import ServoController
+from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
 from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryStatus
+from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
+from fuzzycnc_ros.core.machine.machine_data import AxisData, axis_hash, axis_texts
 from fuzzycnc_ros.runtime.enums import MachineMode, ServoStatus
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisState,
     PositionCommand,
+    ServoTrial,
     ToolPath,
     TrajectoryState,
 )
@@ -158,11 +162,15 @@ class ServoTarget(CopiedTarget):
     """A servo controller that holds an axis."""
 
     component = 'servo_controller'
-    inputs = ('machine_state', 'position_command', 'trajectory', 'axis_state')
+    inputs = ('machine_state', 'position_command', 'trajectory', 'servo_trial', 'axis_state')
+    data = AxisData(plant=BallscrewAxisConfig(), controller='pid')
     step = PERIOD
 
     def make(self) -> Bench:
-        bench = Bench(ServoController())
+        config = ServoControllerConfig(
+            axes=('X:machine_file',), axis_data=axis_texts({'X': self.data})
+        )
+        bench = Bench(ServoController(config))
         bench.until(999.0)
         assert bench.request('activate').success
         self.start = 1000 * SECOND
@@ -175,7 +183,21 @@ class ServoTarget(CopiedTarget):
 
     def good(self, name, stamp, rng):
         if name == 'machine_state':
-            return replace(machine_state(1.0), stamp=stamp)
+            return replace(machine_state(1.0), stamp=stamp, spindle_speed=0.0)
+        if name == 'servo_trial':
+            return ServoTrial(
+                stamp=stamp,
+                axis_name='X',
+                trial=rng.randrange(4),
+                machine_file=axis_hash('X', self.data),
+                controller='pid',
+                setting=('bandwidth',),
+                value=np.array([1.0]),
+                gain=1.0,
+                way=1e-3,
+                pace=0.5,
+                error_max=1e-3,
+            )
         if name == 'position_command':
             return PositionCommand(
                 stamp=stamp, axis=('X',), position=np.array([1e-3]), velocity=np.array([np.nan])
