@@ -376,7 +376,7 @@ class Compensator(Component[CompensatorConfig]):
             CompensationState.ACTIVE: Level.OK,
             CompensationState.INACTIVE: Level.OK,
             CompensationState.HOLDING: Level.WARN,
-            CompensationState.RAMPING: Level.ERROR,
+            CompensationState.RAMPING: Level.ERROR if self._active else Level.OK,
             CompensationState.EXPIRED: Level.ERROR,
         }[self._state]
         lines = self._told_lines()
@@ -405,7 +405,7 @@ class Compensator(Component[CompensatorConfig]):
             )
             items.append(Health('travel', Level.WARN, text))
         for title, flags in (('size limit', self._at_limit), ('slew limit', self._slewing)):
-            if flags.any():
+            if flags.any() and self._active:  # on the way to zero that is asked for it is no limit
                 named = ', '.join(np.array(self._axes)[flags])
                 items.append(Health(title, Level.WARN, f'{title} active on {named}'))
         return items

@@ -150,10 +150,12 @@ class ScheduleFigures:
                 'leave as error depends on acceleration and rest, not on the feed'
             )
         lines.append(f'limits: {_limits(settings.limits)}')
+        blend = max(self.corners, default=settings.blend)
+        rounded = f' and what rounding itself leaves, up to {millimetres(blend)} mm'
         lines.append(
-            'bound, without exact stops: machine constant times the largest acceleration across '
-            'the path that the feed words ask for; driven: on the simulated controller with '
-            f'look-ahead, {self.stretch}'
+            f'bound, without exact stops{rounded if blend else ""}: machine constant times the '
+            'largest acceleration across the path that the feed words ask for; driven: on the '
+            f'simulated controller with look-ahead, {self.stretch}'
         )
         if self.unchanged:
             lines.append('unchanged: no feed word was added or changed')

@@ -315,6 +315,8 @@ def test_a_curve_that_ends_in_equal_control_points_is_rounded_without_a_warning(
     [
         ([], 'corners rounded by up to 0.01 mm, as the program says (G64 P, G61)'),
         (['--blend', '0.02mm'], 'corners rounded by up to 0.02 mm, at most'),
+        ([], 'bound, without exact stops and what rounding itself leaves, up to 0.01 mm: machine'),
+        (['--blend', '0mm'], 'bound, without exact stops: machine constant'),
         (['--blend', '0mm'], 'corners stopped at, at most'),
     ],
 )

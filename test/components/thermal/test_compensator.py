@@ -317,6 +317,8 @@ def test_deactivation_ramps_to_zero_and_ends_inactive():
     assert answer.success
     assert not bench.component.at_rest
     assert answer.emissions[0].record.state == STATES.RAMPING
+    # what was wanted is no trouble
+    assert bench.health() == 'OK state: ramping: deactivated'
     bench.until(80.0 + 10 * MICRON / FAST.ramp_rate + 2 * FAST.period)
     last = bench.records('compensation')[-1]
     assert last.state == STATES.INACTIVE

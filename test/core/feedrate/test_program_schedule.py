@@ -273,6 +273,12 @@ def test_relative_moves_from_an_unknown_place_are_timed():
         ('G4 S30', 1, 0.0),
         ('G1 E5', 1, 0.0),
         ('G1 A90', 1, 0.0),
+        ('M600 X0 Y0', 1, 0.0),  # change of filament, which moves to a place and back
+        ('M125', 1, 0.0),
+        ('$H', 1, 0.0),
+        ('$J=G91 X10 F500', 1, 0.0),
+        ('$100=80', 0, 0.0),
+        ('M206 X1', 0, 0.0),
         ('/G1 X40', 0, 6.0),  # the feed of a line that may be skipped is known
         ('M8', 0, 0.0),
         ('G54', 0, 0.0),
@@ -282,6 +288,14 @@ def test_what_is_not_timed_is_counted(line, untimed, kept):
     text = f'G1 X30 Y0 Z0 F100\n{line}\n'
     found = schedule_program(read_program(text), made()).times
     assert (found.untimed, found.kept) == (untimed, pytest.approx(kept))
+
+
+def test_a_rapid_of_unknown_time_in_a_file_of_a_subroutine_is_counted():
+    files = {'park': 'o<park> sub\nG0\nG28 X0\no<park> endsub\n'}
+    reader = ProgramReader(follow=True, files=files.get)
+    scheduler = ProgramScheduler(made())
+    list(scheduler.schedule(reader.blocks(['G1 X30 Y0 Z0 F100\n', 'o<park> call\n'])))
+    assert scheduler.times.untimed == 1
 
 
 def test_the_time_of_a_whole_path_is_that_of_the_motion_along_it():

@@ -53,6 +53,15 @@ def test_axis_that_was_stuck_near_enough_has_been_on_no_side():
     assert 'dithering' not in axis.stand(OFF, 400, -1e-3)
 
 
+def test_axis_that_moved_away_and_back_is_judged_anew():
+    axis = Stuck()
+    axis.stand(OFF, 2, 0.0)
+    assert axis.stand(0.0, 400, 1e-3)[-1] == 'holding'
+    axis.relief.release()
+    assert axis.stand(0.0, 1, 0.0) == ['']
+    assert axis.last == axis.wound, 'the controller has it'
+
+
 def test_patience_ends_without_a_slip():
     axis = Stuck(StickSlipParams(patience=0.1))
     axis.stand(0.0, 2, 0.0)

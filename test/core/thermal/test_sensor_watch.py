@@ -220,6 +220,15 @@ def test_never_more_than_half_of_the_inputs_are_voted_out(model):
     assert 1 <= faulty.sum(axis=1).max() <= 4
 
 
+def test_the_only_input_of_a_model_may_be_voted_out(model):
+    alone = SensorWatchModel(
+        model.sensor, model.input[:1], model.moment, model.missed[:1], model.leverage[:1]
+    )
+    rise = rises(seed=24)
+    rise[60:, 0] += 4.0
+    assert 60 <= play(SensorWatch(alone), rise)[:, 0].argmax() < 70
+
+
 def test_a_sensor_returns_when_its_mates_agree_for_long(model):
     rise = rises(seed=26, samples=400)
     rise[60:120, 4] += 5.0

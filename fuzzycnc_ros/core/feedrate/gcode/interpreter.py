@@ -379,7 +379,8 @@ class Interpreter:
         if line.command:
             self._say(f'command to the control ($): kept; {_LOST}')
             state.lose()
-            return Role.PLAIN, None
+            moving = line.command.upper().startswith(modal.MOVING_COMMANDS)
+            return (Role.SEALED if moving else Role.PLAIN), None
         if line.flow is not None:
             self.lose(f'O-words are not followed here: {_LOST}, the feed until F')
             self.parameters.forget(everything=True)
@@ -432,6 +433,8 @@ class Interpreter:
             role = self._names(line)
             if role is not None:
                 return role, None
+        if not modal.MOVING_M.isdisjoint(ms):
+            return Role.SEALED, None
         if 40 in codes:
             wait = dwell(line, self._line, state)
             if wait is None:
@@ -586,7 +589,7 @@ class Interpreter:
         if not modal.FRAME_M.isdisjoint(numbers):
             self.state.lose()
             self._say(f'M128 or M129: new coordinates; {_LOST}')
-        if not modal.MOVING_M.isdisjoint(numbers):
+        if not (modal.MOVING_M | modal.SHIFTING_M).isdisjoint(numbers):
             self.state.lose()
             self._say(f'motion or shift by M: {_LOST}')
         if any(number in modal.STOPS for number in numbers):

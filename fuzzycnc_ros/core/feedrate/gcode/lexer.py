@@ -68,8 +68,8 @@ class Line:
         Parameters that the line sets, and their expressions, None where they are of no RS 274.
     flow : FlowWord or None
         Its O-word.
-    command : bool
-        It is a command to the control, not a block: GRBL's `$H`.
+    command : str
+        The line where it is a command to the control, not a block, GRBL's `$H`; empty for none.
     kept : str
         Command that has the rest of the line as its own, `M84` of `M84 X Y E`; empty for none.
     strange : bool
@@ -109,8 +109,8 @@ class Line:
         self.computed = _NOTHING_COMPUTED
         self.settings = _SETTINGS
         self.flow: FlowWord | None = None
-        self.kept = ''
-        self.command = self.strange = self.optional = self.percent = self.polar = False
+        self.command = self.kept = ''
+        self.strange = self.optional = self.percent = self.polar = False
         self.end = 0
 
     def open(self) -> None:
@@ -387,7 +387,7 @@ def _scan(text: str, number: int, line: Line) -> None:
             at = line.end = size
             break
         if sign == '$':
-            line.command = not line.words
+            line.command = '' if line.words else text[at:]
             match = _SPINDLE.match(text, at)
             if line.command or not match:
                 at = line.end = size

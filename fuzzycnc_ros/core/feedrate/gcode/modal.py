@@ -151,8 +151,14 @@ ENDS = frozenset({2, 30})
 PRINTER_M = frozenset({82, 83, 104, 109, 140, 190})
 """M words that 3D printers alone know: extruder modes and temperatures."""
 
-MOVING_M = frozenset({125, 206, 290, 428, 600, 665, 666, 701, 702})
-"""M words of 3D printers that move axes or shift coordinates."""
+MOVING_M = frozenset({125, 600, 701, 702})
+"""M words of 3D printers that move axes."""
+
+SHIFTING_M = frozenset({206, 290, 428, 665, 666})
+"""M words of 3D printers that shift coordinates."""
+
+MOVING_COMMANDS = ('$H', '$J')
+"""Commands of GRBL that move axes begin so."""
 
 KLIPPER = frozenset(
     'SET_VELOCITY_LIMIT SET_PRESSURE_ADVANCE SET_RETRACTION SET_PRINT_STATS_INFO SET_PIN '

@@ -627,9 +627,12 @@ class _Run:
 
 def _sealed(block: Block) -> Block:
     """Return a block that keeps its feed and takes no word."""
-    role = Role.SEALED if block.role in (Role.FEED, Role.KEPT) else block.role
-    role = Role.PLAIN if role is Role.RAPID else role
     segment = block.segment
+    role = block.role
+    if role is Role.RAPID and segment is not None:
+        role = Role.PLAIN
+    elif role is not Role.PLAIN:
+        role = Role.SEALED
     if segment is not None and segment.schedulable:
         segment = replace(segment, feed=None)
     return replace(block, role=role, segment=segment)
