@@ -49,6 +49,10 @@ _DAMPED = 0.35
 """Damping from which on what looks like a mode is told as none [-]: backlash and friction bend a
 response as broadly, and differently at every amplitude."""
 
+_LAGGING = 0.1
+"""Damping that a mode may have which is not told [-]: behind its spring an axis lags by 2 z / w, as
+if that were dead time."""
+
 _BEYOND, _NEAR = 1.15, 3.0
 """Ratio to which the response has to be known beyond a mode, and lines that have to be about it:
 what the last lines of a recording do is no mode."""
@@ -217,8 +221,13 @@ def fit_response(response: FrequencyResponse, gain: float, viscous: float) -> Re
         wider = search.intervals(closest)
         for name in _RIGID:
             ends[name] = ends[name].joined(wider[name])
-    lag = search.with_lag(found)
-    delay = Interval(min(ends['delay'].low, lag), ends['delay'].high)
+        if not model.mode:
+            ends['mode'] = Interval(min(ends['mode'].low, wider['mode'].low), inf)
+    least = min(ends['delay'].low, search.with_lag(found))
+    if model.ratio < 1.0 or not model.mode:
+        damping = model.damping if model.mode else _LAGGING
+        least = max(least - 2.0 * damping / (2.0 * pi * ends['mode'].low), 0.0)
+    delay = Interval(least, ends['delay'].high)
     nothing = Interval(0.0, inf)
     measured = response.response / model.at(response.frequency)
     return ResponseFit(
