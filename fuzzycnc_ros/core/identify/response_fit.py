@@ -50,8 +50,8 @@ _DAMPED = 0.35
 response as broadly, and differently at every amplitude."""
 
 _LAGGING = 0.1
-"""Damping that a mode may have which is not told [-]: behind its spring an axis lags by 2 z / w, as
-if that were dead time."""
+"""Damping that a mode may have which is not told [-]: behind its spring an axis lags by 2 z / w,
+as if that were dead time."""
 
 _BEYOND, _NEAR = 1.15, 3.0
 """Ratio to which the response has to be known beyond a mode, and lines that have to be about it:
@@ -328,8 +328,8 @@ class _Search:
     def intervals(self, found: _SearchEnd) -> dict[str, Interval]:
         """Return the intervals of the parameters, none longer a dead time than the lines allow.
 
-        Dead time, friction and damping of a mode delay alike: to first order they leave a long dead
-        time open that no response with it fits.
+        Dead time, friction and damping of a mode delay alike: to first order they leave a long
+        dead time open that no response with it fits.
         """
         ends = found.intervals()
         most = found.cost + 0.5 * _SIGMAS**2 * max(2.0 * found.cost / self.free, 1.0)
