@@ -221,8 +221,6 @@ def fit_response(response: FrequencyResponse, gain: float, viscous: float) -> Re
         wider = search.intervals(closest)
         for name in _RIGID:
             ends[name] = ends[name].joined(wider[name])
-        if not model.mode:
-            ends['mode'] = Interval(min(ends['mode'].low, wider['mode'].low), inf)
     least = min(ends['delay'].low, search.with_lag(found))
     if model.ratio < 1.0 or not model.mode:
         damping = model.damping if model.mode else _LAGGING

@@ -99,7 +99,6 @@ def test_a_broad_bend_of_the_response_is_no_mode(damping, told):
     )  # fmt: skip
     found = fit_response(response, 9.0, 4.0)
     assert found.resonance_known == told
-    assert found.mode.low < 28.0
     assert 2e-3 in found.delay
 
 
