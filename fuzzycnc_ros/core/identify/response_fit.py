@@ -49,12 +49,19 @@ _DAMPED = 0.35
 """Damping from which on what looks like a mode is told as none [-]: backlash and friction bend a
 response as broadly, and differently at every amplitude."""
 
+_LAGGING = 0.1
+"""Damping that a mode may have which is not told [-]: behind its spring an axis lags by 2 z / w,
+as if that were dead time."""
+
 _BEYOND, _NEAR = 1.15, 3.0
 """Ratio to which the response has to be known beyond a mode, and lines that have to be about it:
 what the last lines of a recording do is no mode."""
 
 _DELAY_ERROR = 5e-5
 """Half width that is added to the interval of the dead time: when a sample is taken [s]."""
+
+_HALVINGS = 6
+"""Steps in which the longest dead time that the lines allow is found."""
 
 _SYSTEMATIC = {'mode': 0.06, 'damping': 0.5}
 """Relative half width that an interval does not fall below, else 2 % [-]: a mode moves with the
@@ -207,15 +214,18 @@ def fit_response(response: FrequencyResponse, gain: float, viscous: float) -> Re
                 if search.shows(other, top):
                     found = other
     model = LinearResponse(**found.values)
-    ends = found.intervals()
+    ends = search.intervals(found)
     if not model.mode:
         ends['mode'] = Interval(search.room(found, top), inf)
     if closest.cost < _WORTH * found.cost:  # a mode that may not be told may still be there
-        wider = closest.intervals()
+        wider = search.intervals(closest)
         for name in _RIGID:
             ends[name] = ends[name].joined(wider[name])
-    lag = search.with_lag(found)
-    delay = Interval(min(ends['delay'].low, lag), ends['delay'].high)
+    least = min(ends['delay'].low, search.with_lag(found))
+    if model.ratio < 1.0 or not model.mode:
+        damping = model.damping if model.mode else _LAGGING
+        least = max(least - 2.0 * damping / (2.0 * pi * ends['mode'].low), 0.0)
+    delay = Interval(least, ends['delay'].high)
     nothing = Interval(0.0, inf)
     measured = response.response / model.at(response.frequency)
     return ResponseFit(
@@ -312,6 +322,28 @@ class _Search:
             max_nfev=60,
         )
         return _SearchEnd(values(end.x), float(end.cost), end.jac / scale, names, self.free)
+
+    def intervals(self, found: _SearchEnd) -> dict[str, Interval]:
+        """Return the intervals of the parameters, none longer a dead time than the lines allow.
+
+        Dead time, friction and damping of a mode delay alike: to first order they leave a long
+        dead time open that no response with it fits.
+        """
+        ends = found.intervals()
+        most = found.cost + 0.5 * _SIGMAS**2 * max(2.0 * found.cost / self.free, 1.0)
+        rest = {name: value for name, value in found.values.items() if name != 'delay'}
+        fits, high = found.values['delay'], ends['delay'].high
+        far = high
+        for _ in range(_HALVINGS):
+            if self.best(rest, {'delay': far}).cost <= most:
+                fits = far
+            else:
+                high = far
+            if fits == high:
+                break
+            far = 0.5 * (fits + high)
+        ends['delay'] = Interval(ends['delay'].low, min(high + _DELAY_ERROR, ends['delay'].high))
+        return ends
 
     def room(self, rigid: _SearchEnd, top: float) -> float:
         """Return the lowest frequency at which a mode may be that does not show [Hz]."""

@@ -89,13 +89,18 @@ class LoopMargin:
 
     @property
     def robust(self) -> bool:
-        """True if the loop is stable with margin whatever the axis is."""
-        return self.distance >= MARGIN and self.radius < 1.0
+        """True if the loop is stable with margin whatever the axis is, and holds a position."""
+        return self.distance >= MARGIN and self.radius < 1.0 and self.crossover > 0.0
 
     @property
     def shortfall(self) -> float:
-        """Missing part of the margin; 0 if the loop is robust [-]."""
-        return max(MARGIN - self.distance, 0.0) + max(50.0 * (self.radius - 1.0), 0.0)
+        """Missing part of the margin; 0 if the loop is robust [-].
+
+        Without a crossover the loop is open: what is fed forward moves the axis, and nothing
+        brings it back.
+        """
+        short = max(MARGIN - self.distance, 0.0) + max(50.0 * (self.radius - 1.0), 0.0)
+        return short + (0.0 if self.crossover else 1.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,9 +45,6 @@ class AxisKnowledge(Config):
         high=1e5,
     )
     damping_low: float = param(0.02, '-', 'Least damping of the mode', low=1e-4, high=1.0)
-    backlash: float = param(
-        0.0, 'm', 'Largest backlash that the recording leaves room for', low=0.0, high=0.1
-    )
     unexplained: float = param(
         0.0, '-', 'Share of the acceleration that no model explains', low=0.0, high=1.0
     )

@@ -126,6 +126,12 @@ def axis_fit_remarks(found: IdentifiedAxis, force: float | None) -> list[Remark]
                 warning=True,
             )
         )
+    lines.append(
+        Remark(
+            'backlash: not told by duty and position of one sensor; measure it with a dial gauge, '
+            'both ways, and keep the accuracy that you ask for above it'
+        )
+    )
     if force is None:
         lines.append(
             Remark(

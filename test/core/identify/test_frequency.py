@@ -118,6 +118,23 @@ def test_what_answers_by_its_speed_is_known_in_level_not_in_gain():
     assert 1.0 in found.level
 
 
+def test_a_dead_time_that_no_response_fits_is_excluded():
+    """Friction, damping and dead time delay alike: their covariance alone leaves 45 ms open."""
+    frequency = np.asarray(np.geomspace(1.1, 38.0, 87), np.float64)
+    axis = LinearResponse(
+        gain=33.0, viscous=360.0, delay=2.4e-3, mode=29.0, damping=0.33, ratio=0.0
+    )
+    size = len(frequency)
+    response = FrequencyResponse(
+        frequency, axis.at(frequency), np.full(size, 0.1), np.ones(size, bool),
+        np.full(size, 0.5), by_reference=False,
+    )  # fmt: skip
+    found = fit_response(response, 3.6, 30.0)
+    assert found.resonance_known
+    assert 2.4e-3 in found.delay
+    assert found.delay.high < 8e-3
+
+
 def test_a_stiff_axis_leaves_room_for_modes_only_above():
     recording = operated(BallscrewAxis(BallscrewAxisConfig(count=1e-7)), 3.7)
     found = fitted([recording], 3.7)

@@ -62,6 +62,19 @@ def test_the_longest_dead_time_counts():
     assert not AxisModels(late).margin(controller).robust
 
 
+def test_a_loop_that_holds_no_position_is_not_robust():
+    """An axis that answers by its speed is fed forward, and drifts off beside its set points."""
+    slow = replace(FREE, viscous_forward=4e3, viscous_backward=4e3, delay=0.045)
+    data = AxisData(plant=slow, knowledge=replace(KNOWN, delay_low=0.0))
+    settings = {'bandwidth': 0.01, 'damping': 1.0, 'estimator': 0.3}
+    margin = AxisModels(data).margin(make_axis_controller(data, 'pid', settings))
+    assert margin.distance > 0.5
+    assert margin.radius < 1.0
+    assert margin.crossover == 0.0
+    assert not margin.robust
+    assert margin.shortfall > 0.0
+
+
 def test_models_that_rub_differently_answer_alike_where_that_is_known():
     plant = replace(FREE, viscous_forward=3e4, viscous_backward=3e4)
     known = replace(KNOWN, gain_low=0.9, gain_high=1.1)
