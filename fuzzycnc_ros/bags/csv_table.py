@@ -60,8 +60,15 @@ _FEW = 0.1  # share of repeated times from which a clock is too coarse, and no r
 
 _DIGITS = re.compile(r'(?:19|20)\d{12}')
 _DIGITS_FORM = '%Y%m%d%H%M%S'
-_COMMA = re.compile(r'[+-]?\d+,\d+')
+_COMMA = re.compile(r'[+-]?\d+,\d+|[+-]?\d{1,3}(\.\d{3})+,\d+')
 _THOUSANDS = re.compile(r'[+-]?\d{1,3}([.,])\d{3}(\1\d{3})*([.,]\d+)?')
+_GROUPED = {
+    ',': re.compile(r'\s*[+-]?\d{1,3}(?:\.\d{3})+(,\d+)?\s*'),
+    '.': re.compile(r'\s*[+-]?\d{1,3}(?:,\d{3})+(\.\d+)?\s*'),
+}
+"""Numbers with signs between thousands, by decimal sign, and their decimals."""
+_ABOVE = 50
+"""Rows among which the names of the columns are looked for."""
 _WITH_UNIT = re.compile(r'[+-]?\d+([.,]\d+)?\s*[^\d\s.,:+-]+')
 
 
@@ -151,7 +158,7 @@ class CsvTable:
         CsvError
             If a cell holds text.
         """
-        cells = self.cells(name)
+        cells = self._ungrouped(self.cells(name))
         if self.decimal == ',':
             pointed = next((row for row, cell in enumerate(cells) if '.' in cell), None)
             if (
@@ -168,6 +175,17 @@ class CsvTable:
         """Return the texts of a column."""
         place = self.header.index(name)
         return [row[place] for row in self.rows]
+
+    def _ungrouped(self, cells: list[str]) -> list[str]:
+        """Return cells without signs between thousands, if one with both signs proves these."""
+        grouped = [_GROUPED[self.decimal].fullmatch(cell) for cell in cells]
+        if not any(found and found[1] for found in grouped):
+            return cells
+        between = '.' if self.decimal == ',' else ','
+        return [
+            cell.replace(between, '') if found else cell
+            for cell, found in zip(cells, grouped, strict=True)
+        ]
 
     def _number(self, row: int, name: str, cell: str) -> float:
         if _is_empty(cell):
@@ -356,7 +374,9 @@ def read_table(
     """Read the rows of a CSV file.
 
     Lines that begin with # above the table are notes; the last of them names the columns where
-    values follow at once.  A line without any value below the names holds units.
+    values follow at once.  Other lines above the names, which fill fewer cells, are passed over,
+    and so are empty cells behind the last column.  A line without any value below the names holds
+    units.
 
     Parameters
     ----------
@@ -416,6 +436,8 @@ def _read_rows(
     for number in notes:
         lines[number] = '\n'
     numbers, rows = _split(path, lines, delimiter)
+    begin = _names_at(rows) if named else 0
+    numbers, rows = numbers[begin:], _without_empty_ends(rows[begin:])
     _check_lengths(path, numbers, rows, delimiter)
     if len(rows[0]) < 2:
         signs = [sign for sign in '|: ' if sign in rows[0][0]]
@@ -480,20 +502,29 @@ def _split(path: Path, lines: list[str], delimiter: str) -> tuple[list[int], lis
     return numbers, rows
 
 
+def _names_at(rows: Sequence[Sequence[str]]) -> int:
+    """Return the row that names the columns: the first of the fullest above the values."""
+    said = [[cell for cell in cells if not _is_empty(cell)] for cells in rows[:_ABOVE]]
+    above = list(
+        itertools.takewhile(lambda cells: 2 * sum(map(_is_value, cells)) <= len(cells), said)
+    )
+    if len(above) == len(said):  # no row of values: the columns hold text
+        return 0
+    return max(range(len(above)), key=lambda at: len(above[at]), default=0)
+
+
+def _without_empty_ends(rows: list[list[str]]) -> list[list[str]]:
+    """Return rows without the empty cells that follow the last column in all of them."""
+    width = max(at + 1 for cells in rows for at, cell in enumerate(cells) if cell.strip())
+    return [cells[:width] for cells in rows]
+
+
 def _check_lengths(path: Path, numbers: list[int], rows: list[list[str]], delimiter: str) -> None:
     """Refuse rows of another length than the first one."""
     expected = len(rows[0])
     odd = next((place for place, cells in enumerate(rows) if len(cells) != expected), None)
     if odd is None:
         return
-    usual = Counter(map(len, rows[-_SAMPLE:])).most_common(1)[0][0]
-    begin = next(place for place, cells in enumerate(rows) if len(cells) == usual)
-    if begin > 1 or (begin == 1 and expected == 1):
-        raise CsvError(
-            f'{path}, line {numbers[0]}: expected {usual} columns, as from line {numbers[begin]} '
-            f'on, but found {delimiter.join(rows[0])!r:.60}; delete what stands above the names '
-            'of the columns'
-        )
     found, hint = len(rows[odd]), ''
     if found > expected and delimiter == ',':
         hint = (

@@ -458,7 +458,7 @@ def cell(row, column, text):
     ('text', 'options', 'naming'),
     [
         (table(change=cell(5, 1, '21,5')), {}, 'with decimal commas import with --decimal ,'),
-        (table(change=cell(5, 1, '1.234,5')), {}, 'remove what stands between thousands'),
+        (table(change=cell(5, 1, '1.234,5')), {}, 'with decimal commas import with --decimal ,'),
         (table(change=cell(5, 1, '21.5 °C')), {}, 'remove the unit from the cells'),
         (table(change=cell(5, 1, '08:15:00')), {}, 'name the time column with --time'),
         (
@@ -480,11 +480,6 @@ def cell(row, column, text):
             "line 19, column 't': .* '1.020'; .* remove the points between thousands",
         ),
         (table(separator='|'), {}, r"found one, 't\|a\|b\|ch'; .* with --delimiter '\|'"),
-        (
-            'Logger 7\r\nNo 4711; rev B\r\n' + table(),
-            {},
-            "line 1: expected 4 columns, as from line 3 on, but found 'Logger 7'; delete what",
-        ),
         (
             table(separator=',').replace('.', ','),
             {},
@@ -520,6 +515,23 @@ def test_columns_without_a_header_are_numbered(importing, tmp_path):
 @pytest.mark.parametrize('head', ['sep=;\r\n', '"sep=;"\r\n', '\r\nSEP=;\r\n'])
 def test_what_excel_writes_above_the_header_names_the_separator(importing, head):
     assert importing(head + german(), **GERMAN).samples == COUNT
+
+
+def test_what_a_spreadsheet_adds_to_a_table_is_passed_over(importing, tmp_path):
+    def change(rows):
+        for number, row in enumerate(rows[1:]):
+            row[1:] = [cell.replace('.', ',') for cell in row[1:]]
+            row[3] = '8.024' if number == 3 else f'8.{8 * number:03},0'
+        rows.insert(1, ['', '[°C]', '[°C]', '[µm]'])
+        rows[:] = [[*row, '', ''] for row in rows]
+
+    text = 'Logger 7;;;;;\r\nNo 4711;rev B;;;;\r\n\r\n' + table(change=change)
+    importing(text, 'utf-8-sig', decimal=',', displacements=['ch=Z:nm'])
+    run = read_run(tmp_path / 'bag')
+    np.testing.assert_allclose(run.temperature[:, 0], FRONT, atol=1e-3)
+    np.testing.assert_allclose(
+        run.displacement[:, 0], 1e-9 * (8000 + 8 * np.arange(COUNT)), atol=1e-12
+    )
 
 
 @pytest.mark.parametrize(

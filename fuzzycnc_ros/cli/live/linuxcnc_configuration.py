@@ -85,7 +85,13 @@ def lacking_lines(ini: Path) -> list[str]:
             if section.startswith('AXIS_') and axis != 'X':
                 continue
             names = [f'AXIS_{axis}' for axis in axes_of(ini)] if axis == 'X' else [section]
-            lines += [f'[{n}]{name} = {value}' for n in names if name not in have.get(n, {})]
+            lines += [
+                f'[{n}]{name} = {value}'
+                for n in names
+                # With a share of 0, the default of LinuxCNC, no offset ever moves.
+                if (found := have.get(n, {}).get(name)) is None
+                or (axis == 'X' and re.fullmatch(r'[0.]+', found[0].strip()))
+            ]
     if HAL_FILES[True] not in hal_files(ini):
         lines.insert(0, f'[HAL]HALFILE = {HAL_FILES[True]}')
     return lines

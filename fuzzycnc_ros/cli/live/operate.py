@@ -104,7 +104,7 @@ def status(machine: MachineName = 'mill', json_file: JsonFile = None) -> None:
     if applied:
         newest = applied[-1]
         offsets = ', '.join(
-            f'{axis} {offset / MICRO:+.2f} um'
+            f'{axis} {offset / MICRO:+.2f} µm'
             for axis, offset in zip(newest.axis, newest.offset, strict=True)
         )
         say(f'offsets in force: {offsets or "none"}')

@@ -76,7 +76,10 @@ def shift_design(path: Path, out: Path, job: PathCompensator, sewing: Sewing) ->
     merged = int(placed.merged.sum())
     job.counts |= {'runs': len(runs), 'split': placed.split, 'merged': merged}
     width, height = 1e3 * (high - low)
-    lines = [f'{path.name}: {len(runs):,} runs on {width:.1f} x {height:.1f} mm', *source.notes]
+    lines = [
+        f'{path.name}: {len(runs):,} run{"s" * (len(runs) != 1)} on {width:.1f} x {height:.1f} mm',
+        *source.notes,
+    ]
     if placed.split or merged:
         lines.append(f'{placed.split:,} stitches split, {merged:,} merged with the next')
     return lines

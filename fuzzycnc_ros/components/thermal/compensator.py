@@ -501,7 +501,9 @@ class Compensator(Component[CompensatorConfig]):
         if machine is None:
             return 'no fresh machine_state'
         if not (machine.offsets_allowed and machine.homed):
-            return 'machine does not allow offsets' if machine.homed else 'machine is not homed'
+            if not machine.homed:
+                return 'machine is not homed'
+            return 'machine does not allow offsets: it is off, or its bridge is not active'
         if not error.valid:
             return f'thermal error invalid: {_reason_text(error.reason)}'
         if not error.in_domain:

@@ -36,7 +36,7 @@ def design_page(runs: Sequence[PlacedRun], lines: Sequence[str], facts: Mapping[
         texts=(
             *lines,
             'Without compensation the sheet would show the orange stitches, as far as the model '
-            'knows it; with it, about those that were planned. What is left is the grid of the '
+            'knows it; with it, about those that were planned. The rest is the grid of the '
             'file, and the limits of the offsets.',
         ),
         tables=(gap_table(gaps),) if gaps else (),

@@ -67,6 +67,8 @@ def test_what_it_installs_passes_its_check(installation, ini, fuzzycnc):
     done = fuzzycnc('linuxcnc', 'check', ini)
     assert done.code == 0, done.out
     assert 'travel Z: -200 to 1' in done.out
+    ini.write_text(ini.read_text().replace('OFFSET_AV_RATIO = 0.05', 'OFFSET_AV_RATIO = 0.0'))
+    assert '[AXIS_Z]OFFSET_AV_RATIO = 0.05' in fuzzycnc('linuxcnc', 'check', ini).out
 
 
 def test_feed_shares_are_installed_and_checked_where_they_are_asked_for(

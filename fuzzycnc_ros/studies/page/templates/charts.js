@@ -9,6 +9,7 @@
   const SHARE_MIN = 5e-4; // of a whole axis that is shown at least
   const PIXELS = 84; // of an inch of a declared height
   const TRUE = 96 / 25.4; // pixels of a millimetre
+  const SHEET = 190; // width that a sheet of A4 has within its margins [mm]
   const CLICK = 5; // pixels that a click may move
   const PAPER = 660; // pixels of the width of a figure on paper
   const FONT = 'px system-ui, sans-serif';
@@ -493,8 +494,10 @@
     const room = data.map(([low, high]) => 0.04 * (high - low) || 1);
     const full = data.map(([low, high], i) => [low - room[i], high + room[i]]);
     const wanted = full.map(([low, high]) => TRUE * (high - low));
+    if (panel.true_scale) paperFor(wanted.map(length => (length + 60) / TRUE));
     const sizeOf = () => panel.true_scale
-      ? {width: wanted[0] + 60, height: wanted[1] + 60}
+      // In whole pixels: Chromium prints a canvas of others smaller than it is.
+      ? {width: Math.ceil(wanted[0]) + 60, height: Math.ceil(wanted[1]) + 60}
       : {
         width: widthOf(chart, place),
         // On a narrow page a plane needs no more height than its places have.
@@ -517,7 +520,9 @@
     let all = null; // the lengths of the whole
     function whole(u) {
       all = null;
-      fit(u, full);
+      const size = [u.over.clientWidth, u.over.clientHeight];
+      fit(u, !panel.true_scale ? full : full.map(([low, high], i) =>
+        [-1, 1].map(side => (low + high + side * size[i] / TRUE) / 2)));
       all = ['x', 'y'].map(key => u.scales[key].max - u.scales[key].min);
     }
 
@@ -601,11 +606,12 @@
           }],
           ready: [self => {
             self.over.append(spot);
-            if (panel.true_scale)
+            if (panel.true_scale) {
               self.batch(() => self.setSize({
-                width: self.width + wanted[0] - self.over.clientWidth,
-                height: self.height + wanted[1] - self.over.clientHeight,
+                width: Math.ceil(self.width + wanted[0] - self.over.clientWidth),
+                height: Math.ceil(self.height + wanted[1] - self.over.clientHeight),
               }));
+            }
             whole(self);
             self.over.addEventListener('dblclick', () => whole(self));
             gestures(self.over, viewOf(self, ['x', 'y'], () => [self], () => whole(self)),
@@ -630,6 +636,13 @@
       whole(u);
     }).observe(place);
     return u;
+  }
+
+  // A browser shrinks what is wider than its paper: ask for paper on which it keeps its size.
+  function paperFor([width, height]) {
+    if (width + 12 <= SHEET) return;
+    element('style', '', document.head,
+      `@page { size: ${width + 34}mm ${Math.max(297, height + 80)}mm; margin: 10mm; }`);
   }
 
   // One table of all panels of a chart: places row by row, curves by x.
