@@ -163,9 +163,9 @@ def _axes(
             given=ini.axes.get(axis),
         )
         plant = reading.section(section, 'plant', place)
-        knowledge = reading.config(
-            AxisKnowledge, reading.section(section, 'knowledge', place), f'{place}.knowledge'
-        )
+        known = reading.section(section, 'knowledge', place)
+        known.pop('backlash', None)  # files of `machine identify` had it, always 0
+        knowledge = reading.config(AxisKnowledge, known, f'{place}.knowledge')
         controller, settings = _controller(reading, section, place)
         yield (
             axis,

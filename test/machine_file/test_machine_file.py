@@ -55,6 +55,11 @@ def test_what_is_written_is_read_again(machine, name):
     assert replace(machine(machine_text(known)), source={}) == replace(known, source={})
 
 
+def test_files_that_state_a_backlash_of_the_identification_are_still_read(machine):
+    text = 'axes:\n  X:\n    knowledge:\n      known_to: 30 Hz\n      backlash: 0 um\n'
+    assert machine(text).axes['X'].knowledge.known_to == pytest.approx(30.0)
+
+
 def test_built_in_machines_are_the_simulated_ones():
     lathe = read_machine_file('lathe').axes['X']
     assert replace(lathe, settings={}) == BUILT_IN_AXES['lathe']
