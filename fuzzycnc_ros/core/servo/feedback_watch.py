@@ -24,6 +24,10 @@ So may a steady acceleration, size after size; only a change that is not what it
 lead to counts.
 """
 
+_PATTERN = 4
+"""Steps [counts] that the loop itself may make: with an encoder that has no noise it swings about a
+steady acceleration in every second period, by so few counts."""
+
 _SPEED_SHARE = 0.3
 """Share of a new reading in the smoothed speed of the run-away test."""
 
@@ -202,7 +206,7 @@ class FeedbackWatch:
         self._restart_divisor()
 
     def _restart_divisor(self) -> None:
-        self._divisor = self._changes = self._odd = self._bend = 0
+        self._divisor = self._changes = self._odd = self._bend = self._bend_before = 0
         self._kinds: set[int] = set()
 
     def resume(self) -> None:
@@ -303,6 +307,7 @@ class FeedbackWatch:
             Constant(
                 'COUNT_CHANGES', _INCREMENTS, '', 'Changes after which their divisor is judged'
             ),
+            Constant('COUNT_PATTERN', _PATTERN, '', 'Steps that the loop itself may make [counts]'),
             Constant('COUNT_KINDS', _KINDS, '', 'Different sizes among them; at most 8'),
             *self.swing.constants(),
         ]
@@ -377,8 +382,8 @@ class FeedbackWatch:
         if self._divisor == 1:
             self._restart_divisor()
             return
-        steady = bend == self._bend
-        self._bend = bend
+        steady = bend == self._bend or (bend == self._bend_before and self._divisor <= _PATTERN)
+        self._bend_before, self._bend = self._bend, bend
         if steady or not whole:
             return
         self._changes += 1

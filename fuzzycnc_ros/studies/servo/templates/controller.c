@@ -68,7 +68,7 @@ typedef struct {
     int swings, since_end, end;
     /* counts */
     int changes, odd, kinds;
-    long long divisor, bend, kind[8];
+    long long divisor, bend, bend_before, kind[8];
     /* an error that swings */
     int grows, calm, side, length, last_length, halves, alike, driven, swing_length;
     double frequency, mean, reference, pace, change, peak, last_peak, first, swing_size;
@@ -181,7 +181,7 @@ static void swing_add({{ name }}_state *s, double error, double reference)
 
 static void divisor_restart({{ name }}_state *s)
 {
-    s->divisor = s->bend = 0;
+    s->divisor = s->bend = s->bend_before = 0;
     s->changes = s->odd = s->kinds = 0;
 }
 
@@ -219,7 +219,8 @@ static void judge_counts({{ name }}_state *s, double counts, double bend_counts)
         divisor_restart(s);
         return;
     }
-    steady = bend == s->bend;
+    steady = bend == s->bend || (bend == s->bend_before && s->divisor <= COUNT_PATTERN);
+    s->bend_before = s->bend;
     s->bend = bend;
     if (steady || !whole)
         return;
