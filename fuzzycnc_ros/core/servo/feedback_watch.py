@@ -14,7 +14,11 @@ from fuzzycnc_ros.core.servo.axis import LinearAxis, response_lag, velocity_lag
 from fuzzycnc_ros.core.servo.constants import Constant
 from fuzzycnc_ros.core.servo.growing_swing import GrowingSwing
 
-_INCREMENTS = 32
+_IRREGULAR = 2
+"""Times that a change counts which is not what its two forerunners lead to: with an encoder that
+has no noise the loop itself may swing by some counts in every second period."""
+
+_INCREMENTS = 32 * _IRREGULAR
 """Changes of the reading after which their common divisor is judged."""
 
 _KINDS = 8
@@ -23,10 +27,6 @@ _KINDS = 8
 So may a steady acceleration, size after size; only a change that is not what its forerunners
 lead to counts.
 """
-
-_PATTERN = 4
-"""Steps [counts] that the loop itself may make: with an encoder that has no noise it swings about a
-steady acceleration in every second period, by so few counts."""
 
 _SPEED_SHARE = 0.3
 """Share of a new reading in the smoothed speed of the run-away test."""
@@ -307,7 +307,7 @@ class FeedbackWatch:
             Constant(
                 'COUNT_CHANGES', _INCREMENTS, '', 'Changes after which their divisor is judged'
             ),
-            Constant('COUNT_PATTERN', _PATTERN, '', 'Steps that the loop itself may make [counts]'),
+            Constant('COUNT_IRREGULAR', _IRREGULAR, '', 'Times that an irregular one counts'),
             Constant('COUNT_KINDS', _KINDS, '', 'Different sizes among them; at most 8'),
             *self.swing.constants(),
         ]
@@ -382,11 +382,11 @@ class FeedbackWatch:
         if self._divisor == 1:
             self._restart_divisor()
             return
-        steady = bend == self._bend or (bend == self._bend_before and self._divisor <= _PATTERN)
+        steady, swings = bend == self._bend, bend == self._bend_before
         self._bend_before, self._bend = self._bend, bend
         if steady or not whole:
             return
-        self._changes += 1
+        self._changes += 1 if swings else _IRREGULAR
         self._kinds.add(whole)
         if self._changes >= _INCREMENTS and len(self._kinds) >= _KINDS:
             self.fault = f'reading moves in steps of {self._divisor} counts'

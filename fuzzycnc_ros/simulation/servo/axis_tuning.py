@@ -396,6 +396,13 @@ def _drive_case(
     )
 
 
+def cases_cost(data: AxisData, controller: AxisController, cases: Sequence[AxisCase]) -> float:
+    """Return what cases of the simulated axis cost a controller, as `tune_controller` [m]."""
+    return _cost(
+        data, [_drive_case(controller, _simulated_case(data, case), data, case) for case in cases]
+    )
+
+
 def load_time(data: AxisData, case: AxisCase, period: float) -> float:
     """Return when the load of a case sets in: amid the rest before the way back [s]."""
     return REST + _way(data, case, period)[:, 0].size * period + 0.3 * REST
@@ -470,7 +477,7 @@ def tune_controller(
             if shortfall:
                 return _UNSTABLE * (1.0 + shortfall)
         tried += 1
-        return _cost(data, _figures_of(data, name, settings, cases))
+        return cases_cost(data, _made(data, name, settings), cases)
 
     def told(best: Array, convergence: float = 0.0) -> None:
         nonlocal done

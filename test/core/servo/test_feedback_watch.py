@@ -32,7 +32,7 @@ def test_a_steady_acceleration_of_whole_counts_is_no_coarse_sensor():
 @pytest.mark.parametrize(('bends', 'speed'), [((14, 16), 2200), ((-3, 0), 450), ((2, -2), 40)])
 def test_a_loop_that_swings_by_some_counts_is_no_coarse_sensor(bends, speed):
     """Bends that encoders without noise gave, in steady accelerations and at a steady speed."""
-    changes = speed + np.cumsum(np.tile(bends, 75))
+    changes = speed + np.cumsum(np.tile(bends, 30))
     assert judged(COUNT * np.cumsum(changes)) == ('', None)
 
 

@@ -206,7 +206,7 @@ static int refuse({{ name }}_state *s, int fault)
 static void judge_counts({{ name }}_state *s, double counts, double bend_counts)
 {
     long long whole = (long long)rint(counts), bend = (long long)rint(bend_counts);
-    int kind, steady;
+    int kind, steady, swings;
 
     if (fabs(counts - (double)whole) > 0.25) {
         s->odd++;
@@ -219,12 +219,13 @@ static void judge_counts({{ name }}_state *s, double counts, double bend_counts)
         divisor_restart(s);
         return;
     }
-    steady = bend == s->bend || (bend == s->bend_before && s->divisor <= COUNT_PATTERN);
+    steady = bend == s->bend;
+    swings = bend == s->bend_before;
     s->bend_before = s->bend;
     s->bend = bend;
     if (steady || !whole)
         return;
-    s->changes++;
+    s->changes += swings ? 1 : COUNT_IRREGULAR;
     for (kind = 0; kind < s->kinds && s->kind[kind] != whole; kind++)
         ;
     if (kind == s->kinds && s->kinds < COUNT_KINDS)
