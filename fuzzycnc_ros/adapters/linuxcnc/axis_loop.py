@@ -14,6 +14,7 @@ import subprocess
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -89,6 +90,10 @@ class AxisLoop(LinuxcncSimulation):
         Signals of each joint that are recorded, of `OWN`.
     noise : float
         RMS of the noise of all sensors [m].
+    lines : sequence of str
+        Further lines of HAL; the signal `load` is that of all axes.
+    further : mapping of str to str
+        Signals of these lines that are recorded, with the letter of their type.
     """
 
     def __init__(
@@ -98,11 +103,15 @@ class AxisLoop(LinuxcncSimulation):
         limits: Limits,
         record: Sequence[str] = RECORDED,
         noise: float = 0.0,
+        lines: Sequence[str] = (),
+        further: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         super().__init__(folder, letters=AXIS * len(controllers))
         self._controllers, self._limits, self._noise = tuple(controllers), limits, noise
+        self._more, self._further = tuple(lines), further
         self._signals = (
             *SHARED,
+            *further,
             *(f'{name}-{joint}' for joint in range(len(controllers)) for name in record),
         )
         if len(self._signals) > _SAMPLES:
@@ -115,7 +124,7 @@ class AxisLoop(LinuxcncSimulation):
     @property
     def _types(self) -> str:
         kinds = (name.rstrip('0123456789').rstrip('-') for name in self._signals)
-        return ''.join(_TYPES.get(kind, 'f') for kind in kinds)
+        return ''.join({**_TYPES, **self._further}.get(kind, 'f') for kind in kinds)
 
     def start(self) -> None:
         """Start it, off and not homed; every period is recorded.
@@ -217,6 +226,7 @@ class AxisLoop(LinuxcncSimulation):
                 yield f'net {own["fault-code"]} {prefix}.fault-code'
             for name, value in self._controllers[joint].settings.items():
                 yield f'setp {prefix}.{name} {value}'
+        yield from self._more
         for pin, signal in enumerate(self._signals):
             name = f'{signal}-0' if signal in SHARED else signal
             yield f'net {name} => sampler.0.pin.{pin}'
@@ -229,12 +239,14 @@ def axis_loop(
     limits: Limits,
     record: Sequence[str] = RECORDED,
     noise: float = 0.0,
+    lines: Sequence[str] = (),
+    further: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[AxisLoop]:
     """Build and load components, start a LinuxCNC with them that is off, and end it.
 
     Parameters
     ----------
-    controllers, limits, record, noise
+    controllers, limits, record, noise, lines, further
         As `AxisLoop`.
     plant : str
         Source of the component `PLANT`.
@@ -252,7 +264,7 @@ def axis_loop(
             path.write_text(source)
             ending.callback(remove_component, name)
             install_component(path)
-        machine = AxisLoop(folder, controllers, limits, record, noise)
+        machine = AxisLoop(folder, controllers, limits, record, noise, lines, further)
         ending.callback(machine.end)
         machine.start()
         yield machine

@@ -91,13 +91,30 @@ class Operator:
         self._command.mdi(code)
         self._until(lambda s: s.interp_state == linuxcnc.INTERP_IDLE and s.inpos, code)
 
-    def run(self, path):
-        """Start a part program."""
+    def run(self, path, line=0):
+        """Start a part program, at its beginning or at a line."""
         self._mode(linuxcnc.MODE_AUTO)
         self._command.program_open(path)
         self._command.wait_complete()
-        self._command.auto(linuxcnc.AUTO_RUN, 0)
+        self._command.auto(linuxcnc.AUTO_RUN, line)
         self._until(lambda s: s.interp_state != linuxcnc.INTERP_IDLE, 'program runs')
+
+    def pause(self):
+        """Pause the program that runs."""
+        self._command.auto(linuxcnc.AUTO_PAUSE)
+
+    def resume(self):
+        """Go on with it."""
+        self._command.auto(linuxcnc.AUTO_RESUME)
+
+    def abort(self):
+        """End the program that runs."""
+        self._command.abort()
+        self._until(lambda s: s.interp_state == linuxcnc.INTERP_IDLE, 'aborted')
+
+    def override(self, share):
+        """Set the feed override [-]."""
+        self._command.feedrate(share)
 
     def version(self):
         """Tell which LinuxCNC it is."""

@@ -8,7 +8,7 @@ import contextlib
 import signal
 import subprocess
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -102,8 +102,14 @@ class Recorder:
         self.halcmd('sets', 'fuzzycnc-feed-heartbeat', '1')
         time.sleep(_PASSED)
 
-    def run(self, program: str, timeout: float) -> Array:
-        """Run a part program from its first line to its end.
+    def run(
+        self,
+        program: str,
+        timeout: float,
+        during: Callable[[LinuxcncSimulation], None] = lambda machine: None,
+        line: int = 0,
+    ) -> Array:
+        """Run a part program to its end.
 
         Parameters
         ----------
@@ -111,6 +117,10 @@ class Recorder:
             The program.
         timeout : float
             Time that it may take [s].
+        during : callable
+            Operates the machine while the program runs.
+        line : int
+            Line that it starts at; 0 for its beginning.
 
         Returns
         -------
@@ -131,7 +141,8 @@ class Recorder:
         )
         try:
             self.halcmd('setp', 'sampler.0.enable', '1')
-            self._machine.run(str(path))
+            self._machine.run(str(path), line)
+            during(self._machine)
             self._machine.wait_for_end(timeout)
             self.halcmd('setp', 'sampler.0.enable', '0')
             end = time.monotonic() + _DRAIN

@@ -14,7 +14,11 @@ from fuzzycnc_ros.core.servo.axis import LinearAxis, response_lag, velocity_lag
 from fuzzycnc_ros.core.servo.constants import Constant
 from fuzzycnc_ros.core.servo.growing_swing import GrowingSwing
 
-_INCREMENTS = 32
+_IRREGULAR = 2
+"""Times that a change counts which is not what its two forerunners lead to: with an encoder that
+has no noise the loop itself may swing by some counts in every second period."""
+
+_INCREMENTS = 32 * _IRREGULAR
 """Changes of the reading after which their common divisor is judged."""
 
 _KINDS = 8
@@ -202,7 +206,7 @@ class FeedbackWatch:
         self._restart_divisor()
 
     def _restart_divisor(self) -> None:
-        self._divisor = self._changes = self._odd = self._bend = 0
+        self._divisor = self._changes = self._odd = self._bend = self._bend_before = 0
         self._kinds: set[int] = set()
 
     def resume(self) -> None:
@@ -303,6 +307,7 @@ class FeedbackWatch:
             Constant(
                 'COUNT_CHANGES', _INCREMENTS, '', 'Changes after which their divisor is judged'
             ),
+            Constant('COUNT_IRREGULAR', _IRREGULAR, '', 'Times that an irregular one counts'),
             Constant('COUNT_KINDS', _KINDS, '', 'Different sizes among them; at most 8'),
             *self.swing.constants(),
         ]
@@ -377,11 +382,11 @@ class FeedbackWatch:
         if self._divisor == 1:
             self._restart_divisor()
             return
-        steady = bend == self._bend
-        self._bend = bend
+        steady, swings = bend == self._bend, bend == self._bend_before
+        self._bend_before, self._bend = self._bend, bend
         if steady or not whole:
             return
-        self._changes += 1
+        self._changes += 1 if swings else _IRREGULAR
         self._kinds.add(whole)
         if self._changes >= _INCREMENTS and len(self._kinds) >= _KINDS:
             self.fault = f'reading moves in steps of {self._divisor} counts'

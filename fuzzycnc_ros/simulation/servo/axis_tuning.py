@@ -372,6 +372,13 @@ def _drive_case(
     return course.figures(errors)
 
 
+def cases_cost(data: AxisData, controller: AxisController, cases: Sequence[AxisCase]) -> float:
+    """Return what cases of the simulated axis cost a controller, as `tune_controller` [m]."""
+    return tuning_cost(
+        data, [_drive_case(controller, _simulated_case(data, case), data, case) for case in cases]
+    )
+
+
 def load_time(data: AxisData, case: AxisCase, period: float) -> float:
     """Return when the load of a case sets in: amid the rest before the way back [s]."""
     there = single_way(case.way, _case_limits(data, case), period)
@@ -447,7 +454,7 @@ def tune_controller(
             if shortfall:
                 return _UNSTABLE * (1.0 + shortfall)
         tried += 1
-        return tuning_cost(data, _figures_of(data, name, settings, cases))
+        return cases_cost(data, untold_controller(data, name, settings), cases)
 
     def told(best: Array, convergence: float = 0.0) -> None:
         nonlocal done

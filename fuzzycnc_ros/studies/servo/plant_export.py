@@ -27,18 +27,7 @@ def hal_plant(plant: PlantConfig, origin: ExportOrigin) -> str:
     ValueError
         If the name is none of C.
     """
-    return rendered('plant.comp', _values(plant), origin, scope='static ')
-
-
-def c_plant(plant: PlantConfig, origin: ExportOrigin) -> str:
-    """Return an axis as C99, for a simulation of your own.
-
-    Raises
-    ------
-    ValueError
-        If the name is none of C.
-    """
-    return rendered('plant.c', _values(plant), origin, scope='')
+    return rendered('plant.comp', _values(plant), origin)
 
 
 def _values(plant: PlantConfig) -> dict[str, Any]:

@@ -29,6 +29,13 @@ def test_a_steady_acceleration_of_whole_counts_is_no_coarse_sensor():
     assert judged(0.02 * time - 0.2 * time**2) == ('', None)
 
 
+@pytest.mark.parametrize(('bends', 'speed'), [((14, 16), 2200), ((-3, 0), 450), ((2, -2), 40)])
+def test_a_loop_that_swings_by_some_counts_is_no_coarse_sensor(bends, speed):
+    """Bends that encoders without noise gave, in steady accelerations and at a steady speed."""
+    changes = speed + np.cumsum(np.tile(bends, 30))
+    assert judged(COUNT * np.cumsum(changes)) == ('', None)
+
+
 @pytest.mark.parametrize('factor', [2.0, 4.0, 16.0])
 def test_coarse_steps_are_noticed_where_the_acceleration_changes(factor):
     time = 1e-3 * np.arange(1000)

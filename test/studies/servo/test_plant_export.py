@@ -13,7 +13,7 @@ import pytest
 from fuzzycnc_ros.machine_file.reader import read_machine_file
 from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis, LatheAxis
 from fuzzycnc_ros.studies.servo.c_text import ExportOrigin
-from fuzzycnc_ros.studies.servo.plant_export import c_plant
+from fuzzycnc_ros.studies.servo.plant_export import hal_plant
 
 ORIGIN = ExportOrigin('axis', 'Test', 'a test', '0123456789abcdef')
 SWINGS = {'mode': 60.0, 'mode_ratio': 2.0, 'drive_lag': 2e-3, 'delay': 1.4e-3, 'direction': -1.0}
@@ -36,7 +36,9 @@ class Compiled:
         target = folder / 'axis.so'
         flags = ['-std=c99', '-O2', '-Wall', '-Wextra', '-Werror', '-ffp-contract=off']
         command = ['cc', *flags, '-shared', '-fPIC', '-x', 'c', '-', '-o', str(target), '-lm']
-        subprocess.run(command, input=c_plant(plant, ORIGIN), text=True, check=True)
+        component = hal_plant(plant, ORIGIN)
+        axis = component[component.index('#include') : component.index('/* ---- What runs')]
+        subprocess.run(command, input=axis.replace('static ', ''), text=True, check=True)
         self._library = ctypes.CDLL(str(target))
         self._memory = ctypes.create_string_buffer(8192)
         for name in ('measure', 'position'):

@@ -68,7 +68,7 @@ typedef struct {
     int swings, since_end, end;
     /* counts */
     int changes, odd, kinds;
-    long long divisor, bend, kind[8];
+    long long divisor, bend, bend_before, kind[8];
     /* an error that swings */
     int grows, calm, side, length, last_length, halves, alike, driven, swing_length;
     double frequency, mean, reference, pace, change, peak, last_peak, first, swing_size;
@@ -181,7 +181,7 @@ static void swing_add({{ name }}_state *s, double error, double reference)
 
 static void divisor_restart({{ name }}_state *s)
 {
-    s->divisor = s->bend = 0;
+    s->divisor = s->bend = s->bend_before = 0;
     s->changes = s->odd = s->kinds = 0;
 }
 
@@ -206,7 +206,7 @@ static int refuse({{ name }}_state *s, int fault)
 static void judge_counts({{ name }}_state *s, double counts, double bend_counts)
 {
     long long whole = (long long)rint(counts), bend = (long long)rint(bend_counts);
-    int kind, steady;
+    int kind, steady, swings;
 
     if (fabs(counts - (double)whole) > 0.25) {
         s->odd++;
@@ -220,10 +220,12 @@ static void judge_counts({{ name }}_state *s, double counts, double bend_counts)
         return;
     }
     steady = bend == s->bend;
+    swings = bend == s->bend_before;
+    s->bend_before = s->bend;
     s->bend = bend;
     if (steady || !whole)
         return;
-    s->changes++;
+    s->changes += swings ? 1 : COUNT_IRREGULAR;
     for (kind = 0; kind < s->kinds && s->kind[kind] != whole; kind++)
         ;
     if (kind == s->kinds && s->kinds < COUNT_KINDS)

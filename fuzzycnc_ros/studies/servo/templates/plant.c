@@ -52,7 +52,7 @@ static void take_along({{ name }}_state *s)
 }
 
 /* Rest at a position [m]. */
-{{ scope }}void {{ name }}_begin({{ name }}_state *s, double position)
+static void {{ name }}_begin({{ name }}_state *s, double position)
 {
     static const {{ name }}_state fresh = {.gain_factor = 1.0, .friction_factor = 1.0};
 
@@ -64,13 +64,13 @@ static void take_along({{ name }}_state *s)
 }
 
 /* Return the true position of the slide [m]. */
-{{ scope }}double {{ name }}_position(const {{ name }}_state *s)
+static double {{ name }}_position(const {{ name }}_state *s)
 {
     return s->slide{% if model == 'mass' %} + s->swing{% endif %};
 }
 
 /* Return the reading [m] with a noise [m]. */
-{{ scope }}double {{ name }}_measure(const {{ name }}_state *s, double noise)
+static double {{ name }}_measure(const {{ name }}_state *s, double noise)
 {
 {%- if model == 'lags' %}
     double position = s->sensed;
@@ -86,7 +86,7 @@ static void take_along({{ name }}_state *s)
 
 /* Hold a duty for one period. */
 {%- if model == 'lags' %}
-{{ scope }}void {{ name }}_drive({{ name }}_state *s, double duty)
+static void {{ name }}_drive({{ name }}_state *s, double duty)
 {
     double asked = DIRECTION * delayed(s, duty), gain = GAIN * s->gain_factor;
     double coulomb = s->friction_factor * COULOMB, breakaway = s->friction_factor * BREAKAWAY;
@@ -117,7 +117,7 @@ static void take_along({{ name }}_state *s)
     }
 }
 {%- else %}
-{{ scope }}void {{ name }}_drive({{ name }}_state *s, double duty)
+static void {{ name }}_drive({{ name }}_state *s, double duty)
 {
     double before = s->velocity, velocity = before, left = PERIOD, acting = delayed(s, duty), force;
 
