@@ -24,7 +24,7 @@ axes:
   Y:
     limits: {travel_low: 0 mm, travel_high: 40 mm, velocity: 50 mm/s, load: 20 %}
     plant: {model: lags, gain: 150 mm/s, velocity_lag: 30 ms}
-    controller: {name: cascade, settings: {bandwidth: 1.0}}
+    controller: {name: cascade, settings: {bandwidth: 3.0}}
 """
 RATE = 0.2
 """Pace at which a busy computer keeps a kilohertz."""

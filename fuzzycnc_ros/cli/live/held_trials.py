@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fuzzycnc_ros.cli.console import say
-from fuzzycnc_ros.cli.live.operator_client import OperatorClient
+from fuzzycnc_ros.cli.live.operator_client import SETTLED, OperatorClient
 from fuzzycnc_ros.core.servo.course import AxisFigures
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.topics import RCLPY, create_publisher, create_subscription, subscription_qos
@@ -123,6 +123,7 @@ class HeldTrials:
             20.0,
             'servo_controller, which drives the axis',
         )
+        operator.pause(SETTLED)  # a recorder that missed the first sign could not be replayed
 
     def __call__(
         self, name: str, settings: Mapping[str, float], case: AxisCase, error_max: float
