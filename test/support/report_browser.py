@@ -41,6 +41,7 @@ class Reader:
         features = [{'name': 'prefers-color-scheme', 'value': theme}]
         self.driver.execute_cdp_cmd('Emulation.setEmulatedMedia', {'features': features})
         self.driver.get('about:blank')
+        self.complaints()  # of the page before, whose pixels a test may have read
         self.driver.get(page.as_uri())
         wait_for(
             lambda: self.run('return document.readyState') == 'complete', f'all of {page.name}'

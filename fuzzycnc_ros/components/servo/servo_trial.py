@@ -165,7 +165,8 @@ class AxisTrial:
         full = abs(duty) >= controller.duty_max * min(self.axis.gain, 1.0)
         self._at_limit = self._at_limit + 1 if full else 0
         self._mean += (duty - self._mean) * self._fast
-        self._ripple += ((duty - self._mean) ** 2 - self._ripple) * self._over
+        off = duty - self._mean
+        self._ripple += (off * off - self._ripple) * self._over
         if stamp > self._until:
             return 'its operator gave no sign of life for 0.5 s'
         if controller.watch.fault.startswith(SWINGING):

@@ -54,9 +54,9 @@ class Course:
         """Return the figures of the following errors [m], shape (n,)."""
         found = np.asarray(errors, np.float64)
         return AxisFigures(
-            rms=float(np.sqrt((found**2).mean())),
+            rms=float(np.sqrt(np.square(found).mean())),
             largest=float(np.abs(found).max()),
-            rest=float(np.sqrt((found[self.judged] ** 2).mean())),
+            rest=float(np.sqrt(np.square(found[self.judged]).mean())),
         )
 
 

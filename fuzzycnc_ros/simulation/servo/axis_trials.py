@@ -6,8 +6,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from math import inf, log, sqrt
+from math import inf, sqrt
 
+from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.identify.robustness import ROBUST_GAINS, AxisModels
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData
@@ -164,25 +165,25 @@ class TrialSearch:
     def _improve(self, name: str, until: int) -> None:
         """Change one setting at a time as long as that helps, by ever smaller factors."""
         ranges = setting_ranges(self._data, name, SETTINGS)
-        step, signs = _STEP, dict.fromkeys(SETTINGS, 1.0)
+        step, up = _STEP, set(SETTINGS)
         while step >= _FINEST and len(self._tried) < until:
             before = self._best(name)
             for key, (low, high, _) in ranges.items():
                 for _ in range(2):
                     now = self._best(name)
-                    value = now.settings[key] * step ** signs[key]
+                    value = now.settings[key] * (step if key in up else 1.0 / step)
                     changed = {**now.settings, key: min(max(value, low), high)}
                     if len(self._tried) < until:
                         self._try(name, changed)
                     if self._best(name) is not now:
                         break
-                    signs[key] = -signs[key]
+                    up ^= {key}
             if self._best(name) is before:
                 step = sqrt(step)
 
     def _try(self, name: str, settings: dict[str, float], *, sure: bool = False) -> None:
         """Try a controller on the axis, unless it was, or nothing shows that it is stable."""
-        key = name, tuple(round(log(value), 6) for value in settings.values())
+        key = name, tuple(round(portable.log(value), 6) for value in settings.values())
         if key in self._tried or not (sure or self._has_margin(name, settings)):
             return
         self._tried.add(key)
@@ -216,11 +217,14 @@ class TrialSearch:
 
     def _has_margin(self, name: str, settings: dict[str, float]) -> bool:
         """Return True if all models, or a loop next to it on the axis, show that it is stable."""
-        most = log(_STEP) + 1e-6
+        most = portable.log(_STEP) + 1e-6
         if any(
             one.name == name
             and one.settings.keys() == settings.keys()
-            and all(abs(log(settings[key] / value)) <= most for key, value in one.settings.items())
+            and all(
+                abs(portable.log(settings[key] / value)) <= most
+                for key, value in one.settings.items()
+            )
             for one in self._found
         ):
             return True
