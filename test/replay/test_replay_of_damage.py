@@ -522,7 +522,7 @@ def test_damaged_bags_are_not_called_identical(thermal, folder, seed):
     damage_and_judge(thermal, outputs(thermal, folder), folder, seed)
 
 
-@pytest.mark.slow
+@pytest.mark.qualify
 def test_many_damaged_bags_are_not_called_identical(thermal, motion, folder):
     for bag, count in zip((thermal, *motion), (400, 40, 40), strict=True):
         written = outputs(bag, folder)

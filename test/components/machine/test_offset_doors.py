@@ -187,10 +187,10 @@ class Strangers:
 
 @pytest.mark.parametrize(
     ('seed', 'rounds'),
-    [(0, 10), *(pytest.param(seed, 330, marks=pytest.mark.slow) for seed in (1, 2))],
+    [(0, 10), *(pytest.param(seed, 330, marks=pytest.mark.qualify) for seed in (1, 2))],
 )
 def test_whatever_strangers_say_the_machine_side_keeps_its_bounds(seed, rounds):
-    """A round is some 1,500 cycles; the slow ones make a million."""
+    """A round is some 1,500 cycles; those of `make qualify` make a million."""
     strangers = Strangers(seed)
     for _ in range(rounds):
         for _ in range(500):

@@ -106,7 +106,7 @@ def test_no_number_makes_a_model_publish_what_is_not_finite(default):
     check(default, own_places(default), VALUES)
 
 
-@pytest.mark.slow
+@pytest.mark.qualify
 @pytest.mark.parametrize('default', DEFAULTS)
 def test_no_number_in_any_place_makes_a_model_publish_what_is_not_finite(default):
     check(default, own_places(default), MORE_VALUES)

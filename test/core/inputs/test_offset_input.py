@@ -293,7 +293,7 @@ def test_never_beyond_the_limit_never_faster_never_nan(events):
         assert np.all(np.abs(after - before) <= reach * (1 + 1e-9) + 1e-18)
 
 
-@pytest.mark.slow
+@pytest.mark.qualify
 def test_lines_move_no_place_beyond_the_limit_or_faster_than_slew_and_motion_allow():
     random, machine = np.random.default_rng(11), offset_input(slope_max=4e-4, speed_max=0.5)
     position, step, epoch = np.zeros(2), 10_000_000, 1
