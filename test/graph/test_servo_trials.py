@@ -113,6 +113,7 @@ def machine(graph, observer, tmp_path):
 
 def test_held_trials_are_made_and_those_of_a_lost_operator_end(machine, graph, observer, tmp_path):
     told = observer.records('servo_trial_state', ServoTrialState)
+    every = observer.records('servo_trial_state', ServoTrialState)
     states = observer.records('servo_state', ServoState)
     log = tmp_path / 'log'
     words = ['--on-machine', '--machine-file', str(machine), '--trials', '1']
@@ -150,5 +151,9 @@ def test_held_trials_are_made_and_those_of_a_lost_operator_end(machine, graph, o
     graph.stop()
     report = replay(tmp_path / 'bag')
     (trials,) = (item for item in report.topics if item.topic.endswith('servo_trial_state'))
-    assert trials.recorded > 6
-    assert trials.equal, trials
+    assert trials.recorded == trials.recomputed > 6
+    # Of late axis states the node answers the newest alone: it counts the others as missed, and
+    # nothing repeats that.
+    heard = max(state.stamp for state in states if not state.missed)
+    assert trials.identical >= sum(item.stamp <= heard for item in every)
+    assert trials.equal or states[-1].missed, trials
