@@ -15,6 +15,7 @@ import numpy as np
 
 from fuzzycnc_ros.cli.console import say
 from fuzzycnc_ros.cli.live.operator_client import SETTLED, OperatorClient
+from fuzzycnc_ros.components.servo.servo_trial import UNSTABLE
 from fuzzycnc_ros.core.servo.course import AxisFigures
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.topics import RCLPY, create_publisher, create_subscription, subscription_qos
@@ -34,9 +35,6 @@ comes late [s]."""
 
 LOST = 3.0
 """Time without a word of the node after which it is lost [s]; it tells each 0.05 s."""
-
-_UNSTABLE = ': expected a loop that is stable with its model'
-"""Part of a refusal that is about the controller, not about the axis."""
 
 
 class HeldKey:
@@ -153,7 +151,7 @@ class HeldTrials:
             told = self._held(asked)
             if told is None:
                 continue
-            if told.status == TrialStatus.REFUSED and _UNSTABLE not in told.reason:
+            if told.status == TrialStatus.REFUSED and UNSTABLE not in told.reason:
                 raise GraphError(told.reason)
             return AxisFigures(
                 rms=told.rms, largest=told.largest, rest=told.rest, fault=told.reason

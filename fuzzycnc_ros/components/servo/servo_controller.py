@@ -163,6 +163,8 @@ class ServoController(Component[ServoControllerConfig]):
     def on_axis_state(self, state: AxisState) -> Iterator[Emission]:
         """Answer a control period."""
         yield from self._answer(state)
+        if not self._trials.pending:
+            return
         readings = dict(zip(state.axis, state.position.tolist(), strict=False))
         machine = self.last(self.MACHINE)
         self._trials.begin(self._axes, readings, machine, self._busy, state.stamp)
@@ -304,7 +306,7 @@ class ServoController(Component[ServoControllerConfig]):
         list of float
             Duties [-].
         """
-        zero, unheard = [0.0] * len(self._axes), [nan] * len(self._axes)
+        zero = [0.0] * len(self._axes)
         if self._fault:
             return zero
         if self._forbidden:
@@ -322,14 +324,16 @@ class ServoController(Component[ServoControllerConfig]):
         if self._wanted is not None:
             self._go(self._wanted)
         self._follow()
-        for axis, reading in zip(self._axes, readings or unheard, strict=True):
-            if readings is None:
+        if readings is None:
+            for axis in self._axes:
                 axis.bridge()
-            else:
+        else:
+            for axis, reading in zip(self._axes, readings, strict=True):
                 axis.step(reading)
-        assert self._at is not None
         if self._trials.running:
-            self._trials.judge(self._axes, readings or unheard, self.last(self.MACHINE), self._at)
+            assert self._at is not None
+            found = readings or [nan] * len(self._axes)
+            self._trials.judge(self._axes, found, self.last(self.MACHINE), self._at)
         if readings is None:
             return [axis.duty for axis in self._axes]
         for axis in self._axes:

@@ -32,6 +32,9 @@ LONGEST = 12.0
 GAIN_MAX = 3.0
 """Largest factor on the duty [-]."""
 
+UNSTABLE = 'expected a loop that is stable with its model'
+"""Part of the refusal that is about the controller, not about the axis: another may be tried."""
+
 AT_LIMIT = 0.1
 """Time at the limit of the drive after which a trial ends [s]: there no loop is closed."""
 
@@ -209,6 +212,11 @@ class ServoTrials:
     def running(self) -> bool:
         """True while a trial drives an axis, or is about to."""
         return self._trial is not None or self._asked is not None
+
+    @property
+    def pending(self) -> bool:
+        """True if there is a trial to begin, or something to tell."""
+        return self._asked is not None or bool(self._told)
 
     def take(self, asked: ServoTrial) -> None:
         """Take a sign of life of an operator, or the wish for another trial."""
@@ -392,8 +400,8 @@ class ServoTrials:
             controller = file_controller(self._config, axis.name, data, asked.controller, settings)
         if not controller.settles(asked.gain):
             raise ValueError(
-                f'{axis.name}: expected a loop that is stable with its model at {asked.gain:g} '
-                'times the gain but found one that is not'
+                f'{axis.name}: {UNSTABLE} at {asked.gain:g} times the gain but found one that is '
+                'not'
             )
         return AxisTrial(axis, asked, controller, course, travel, reading)
 
