@@ -178,6 +178,8 @@ class CsvTable:
 
     def _ungrouped(self, cells: list[str]) -> list[str]:
         """Return cells without signs between thousands, if one with both signs proves these."""
+        if not any('.' in cell and ',' in cell for cell in cells):
+            return cells
         grouped = [_GROUPED[self.decimal].fullmatch(cell) for cell in cells]
         if not any(found and found[1] for found in grouped):
             return cells
@@ -515,8 +517,12 @@ def _names_at(rows: Sequence[Sequence[str]]) -> int:
 
 def _without_empty_ends(rows: list[list[str]]) -> list[list[str]]:
     """Return rows without the empty cells that follow the last column in all of them."""
-    width = max(at + 1 for cells in rows for at, cell in enumerate(cells) if cell.strip())
-    return [cells[:width] for cells in rows]
+    longest = width = max(map(len, rows))
+    while width > 1 and not any(
+        cells[width - 1 : width] and cells[width - 1].strip() for cells in rows
+    ):
+        width -= 1
+    return rows if width == longest else [cells[:width] for cells in rows]
 
 
 def _check_lengths(path: Path, numbers: list[int], rows: list[list[str]], delimiter: str) -> None:
