@@ -23,6 +23,9 @@ from pathlib import Path
 import numpy as np
 from scipy.io import loadmat
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / 'test' / 'support'))
+from emps import from_rest
+
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.identify.axis_data import identify_axis
 from fuzzycnc_ros.core.identify.axis_fit import AxisRecording
@@ -51,15 +54,6 @@ def identified(raw: dict[str, Array], knowledge: str) -> AxisData:
         return data
     sure = replace(data.knowledge, known_to=1e4, mode_low=1e4, remainder='')
     return replace(data, knowledge=sure)
-
-
-def from_rest(reference: Array) -> Array:
-    """Return a reference with the samples ahead of it, in which it sped up from rest [m]."""
-    step, change = reference[1] - reference[0], reference[2] - 2.0 * reference[1] + reference[0]
-    ahead = [reference[0]]
-    while (step := step - change) > 0.0:
-        ahead.append(ahead[-1] - step)
-    return np.concatenate([ahead[:0:-1], reference])
 
 
 def left(data: AxisData, settings: dict[str, float], reference: Array, volts: float) -> float:

@@ -34,7 +34,6 @@ from typing import Any
 os.environ |= dict.fromkeys(('OMP_NUM_THREADS', 'OPENBLAS_NUM_THREADS', 'MKL_NUM_THREADS'), '1')
 
 import numpy as np
-from scipy.optimize import differential_evolution
 from scipy.stats import qmc
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -61,6 +60,7 @@ from fuzzycnc_ros.simulation.servo.axis_tuning import (
     TunedController,
     axis_cases,
     cases_cost,
+    evolved,
     tune_controller,
 )
 from fuzzycnc_ros.studies.page.table import Column, Table
@@ -242,7 +242,7 @@ def tune_pid(data: AxisData, progress: Any) -> dict[str, Any]:
     draw = qmc.LatinHypercube(len(ranges), seed=np.random.default_rng(0))
     points = low + (high - low) * draw.random(CANDIDATES)
     points[0] = np.clip(first, low, high)
-    tried = done = 0
+    tried = 0
 
     def driver(point: Array) -> PidDriver:
         values = dict(zip(ranges, np.exp(point).tolist(), strict=True))
@@ -253,23 +253,7 @@ def tune_pid(data: AxisData, progress: Any) -> dict[str, Any]:
         tried += 1
         return cases_cost(data, driver(point), cases)  # type: ignore[arg-type]
 
-    def told(best: Array, convergence: float = 0.0) -> None:
-        nonlocal done
-        done += 1
-        progress(done, GENERATIONS)
-
-    evolve: Any = differential_evolution
-    found = evolve(
-        cost,
-        list(zip(low, high, strict=True)),
-        init=points,
-        maxiter=GENERATIONS,
-        seed=np.random.default_rng(0),
-        polish=False,
-        updating='deferred',
-        callback=told,
-        tol=0.0,
-    )
+    found = evolved(cost, ranges, GENERATIONS, 0, progress, init=points)
     judged: Any = driver(found.x)
     return {
         'settings': dict(zip(ranges, np.exp(found.x).tolist(), strict=True)),

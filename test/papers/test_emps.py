@@ -7,6 +7,7 @@ A. Janot, M. Gautier, M. Brunot: Data set and reference models of EMPS, 2019.
 
 import numpy as np
 import pytest
+from emps import from_rest
 from scipy.io import loadmat
 from tiers import rest_slow
 
@@ -63,21 +64,6 @@ def voltage_off(recording):
 def ruled(**settings):
     """Return the production controller of the ball screw, with other settings."""
     return built_in_controller('ballscrew', 'variable_universe', settings)
-
-
-def from_rest(reference):
-    """Return a reference with the samples ahead of it, in which it sped up from rest.
-
-    The recording begins amid the first ramp of velocity.  No controller that starts there at rest
-    can be judged: the axis is already 0.1 mm behind.
-    """
-    steps = np.diff(reference[:3])
-    change = steps[1] - steps[0]
-    ahead = [reference[0]]
-    step = steps[0]
-    while (step := step - change) > 0.0:
-        ahead.append(ahead[-1] - step)
-    return np.concatenate([ahead[:0:-1], reference])
 
 
 def published_loop(recording, config):

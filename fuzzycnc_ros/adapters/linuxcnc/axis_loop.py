@@ -124,7 +124,8 @@ class AxisLoop(LinuxcncSimulation):
     @property
     def _types(self) -> str:
         kinds = (name.rstrip('0123456789').rstrip('-') for name in self._signals)
-        return ''.join({**_TYPES, **self._further}.get(kind, 'f') for kind in kinds)
+        known = {**_TYPES, **self._further}
+        return ''.join(known.get(kind, 'f') for kind in kinds)
 
     def start(self) -> None:
         """Start it, off and not homed; every period is recorded.

@@ -14,8 +14,13 @@ if TYPE_CHECKING:
 
 
 COMPARED = (
-    *('recorded', 'recomputed', 'identical', 'largest_difference', 'first_difference'),
-    *('not_recomputed', 'left_out'),
+    'recorded',
+    'recomputed',
+    'identical',
+    'largest_difference',
+    'first_difference',
+    'not_recomputed',
+    'left_out',
 )
 """Figures of a topic in the file of --json."""
 

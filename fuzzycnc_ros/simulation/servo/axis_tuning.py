@@ -444,7 +444,7 @@ def tune_controller(
     ranges = setting_ranges(data, name, search)
     cases = axis_cases(data, seed=seed)
     models = AxisModels(data) if data.knowledge.known_to else None
-    tried = done = 0
+    tried = 0
 
     def cost(point: Array) -> float:
         nonlocal tried
@@ -456,6 +456,42 @@ def tune_controller(
         tried += 1
         return cases_cost(data, untold_controller(data, name, settings), cases)
 
+    given: dict[str, Any] = {'x0': [log(plain) for _, _, plain in ranges.values()]}
+    if models is not None:
+        given = {'init': stiff_settings(data, name, ranges, models, population, seed)}
+    outcome = evolved(cost, ranges, generations, seed, progress, popsize=population, **given)
+    judged = judged_controller(data, name, settings_at(ranges, outcome.x), seed=seed)
+    return replace(judged, cost=float(outcome.fun), trials=tried)
+
+
+def evolved(
+    cost: Callable[[Array], float],
+    ranges: Mapping[str, tuple[float, float, float]],
+    generations: int,
+    seed: int,
+    progress: _Progress | None,
+    **population: Any,
+) -> Any:
+    """Minimise a cost of the logarithms of settings by differential evolution.
+
+    Parameters
+    ----------
+    cost : callable
+        Of a point, whose settings `settings_at` returns.
+    ranges : mapping of str to (float, float, float)
+        Least and largest value of each setting, and its plain one.
+    generations, seed, progress
+        As `tune_controller`.
+    **population
+        Of `scipy.optimize.differential_evolution`: `popsize`, `x0`, `init`.
+
+    Returns
+    -------
+    scipy.optimize.OptimizeResult
+        `x` is the best point and `fun` its cost.
+    """
+    done = 0
+
     def told(best: Array, convergence: float = 0.0) -> None:
         nonlocal done
         done += 1
@@ -463,24 +499,17 @@ def tune_controller(
             progress(done, generations)
 
     evolve: Any = differential_evolution
-    bounds = [(log(low), log(high)) for low, high, _ in ranges.values()]
-    given: dict[str, Any] = {'x0': [log(plain) for _, _, plain in ranges.values()]}
-    if models is not None:
-        given = {'init': stiff_settings(data, name, ranges, models, population, seed)}
-    outcome = evolve(
+    return evolve(
         cost,
-        bounds,
+        [(log(low), log(high)) for low, high, _ in ranges.values()],
         maxiter=generations,
-        popsize=population,
         seed=np.random.default_rng(seed),  # SciPy before 1.15 knows no other name
         polish=False,
         updating='deferred',
         callback=told,
         tol=0.0,
-        **given,
+        **population,
     )
-    judged = judged_controller(data, name, settings_at(ranges, outcome.x), seed=seed)
-    return replace(judged, cost=float(outcome.fun), trials=tried)
 
 
 def untuned_controllers(
