@@ -172,7 +172,7 @@ def test_compare_takes_its_workers_along(command, root, tmp_path, number, interr
 GRAPHS = [
     pytest.param(('up', '--simulate', 'T2', '--record', 'bag'), 'bag', id='up'),
     pytest.param(('record', '--out', 'bag'), 'bag', id='record'),
-    pytest.param(('demo', '--out', 'demo'), 'demo/bag', id='demo'),
+    pytest.param(('demo', '--scenario', 'contour', '--out', 'demo'), 'demo/bag', id='demo'),
     pytest.param(('demo', '--scenario', 'shift', '--out', 'demo'), 'demo/before', id='demo-shift'),
 ]
 """Commands that start nodes, and a file that is there when they are at work."""

@@ -54,7 +54,7 @@ def test_a_graph_with_its_page_is_watched_in_the_terminal(command, observer, tmp
 
 def test_a_demo_shows_its_machine_until_it_is_ended(command, observer, tmp_path):
     port = free_port()
-    demo = command('demo', f'--page={port}', '--out', tmp_path / 'shown')
+    demo = command('demo', '--scenario', 'contour', f'--page={port}', '--out', tmp_path / 'shown')
     observer.until(lambda: answers(port), demo.output)
     observer.until(lambda: 'stays until Ctrl-C' in demo.output, demo.output, RUN)
     assert answers(port)
