@@ -7,11 +7,9 @@ from live_graph import ANSWER_TIMEOUT
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.cli.demo.shift import mill_specs
-from fuzzycnc_ros.core.thermal.fit import train_model
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.studies.published_bag import PublishedBag
-from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
-from fuzzycnc_ros.studies.shift.whole_shift import TICK, ShiftSettings, run_whole_shift
+from fuzzycnc_ros.studies.shift.whole_shift import ShiftSettings, run_whole_shift
 
 pytestmark = pytest.mark.ros
 
@@ -19,11 +17,8 @@ SETTINGS = ShiftSettings(jobs=('300:path:trident', '500:move:X:0.01'), duration=
 
 
 @pytest.mark.slow
-def test_live_equals_in_process(graph, tmp_path):
-    period = {'simulated_machine': {'tick_period': TICK}}
-    model = train_model(record_calibration(parameters=period).runs).to_json()
-    (tmp_path / 'model.json').write_text(model, encoding='utf-8')
-    *nodes, maker = mill_specs(tmp_path / 'model.json', SETTINGS)
+def test_live_equals_in_process(graph, model_file, tmp_path):
+    *nodes, maker = mill_specs(model_file, SETTINGS)
     for spec in nodes:
         graph.start(spec.name, dict(spec.parameters))
     graph.start('recorder', {'lockstep': True, 'output': str(tmp_path / 'live')})
@@ -41,7 +36,7 @@ def test_live_equals_in_process(graph, tmp_path):
     assert machine.outcome['degraded'] is False
     graph.stop()
     with PublishedBag(tmp_path / 'alone') as bag:
-        run_whole_shift(model, SETTINGS, sink=bag)
+        run_whole_shift(model_file.read_text(), SETTINGS, sink=bag)
     live, alone = (topic_hashes(tmp_path / name) for name in ('live', 'alone'))
     outputs = {item.name for component in COMPONENTS.values() for item in component.OUTPUTS}
     judged = [topic for topic in live if topic.rpartition('/')[2] in outputs]
