@@ -141,11 +141,10 @@ def test_default_model_on_unseen_duties(recordings):
 @pytest.mark.paper
 @pytest.mark.slow
 def test_trained_lag_ridge_on_the_hardest_duty(recordings):
-    figures = [
-        1e6
-        * evaluate(train_model([runs[name] for name in TRAINING]), runs['T3']).largest['lag_ridge']
-        for runs in recordings
-    ]
+    figures = []
+    for runs in recordings:
+        model = train_model([runs[name] for name in TRAINING], candidates=('lag_ridge',))
+        figures.append(1e6 * evaluate(model, runs['T3']).largest['lag_ridge'])
     assert (np.median(figures, axis=0) <= (5.5, 5.0)).all()
 
 
