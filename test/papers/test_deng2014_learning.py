@@ -83,12 +83,13 @@ def test_errors_with_the_thickness_as_the_fifth_input():
 
 
 @pytest.mark.slow
-def test_errors_of_the_default():
+@pytest.mark.parametrize('seeds', [2, pytest.param(4, marks=pytest.mark.qualify)])
+def test_errors_of_the_default(seeds):
     """With features that know the load of a stitch linear rules come close as well."""
-    errors = [held_out_error(seed) for seed in range(4)]
+    errors = [held_out_error(seed) for seed in range(seeds)]
     assert np.mean(errors) <= 0.35
     assert max(errors) <= 0.45
-    linear = [held_out_error(seed, consequent='sts') for seed in range(4)]
+    linear = [held_out_error(seed, consequent='sts') for seed in range(seeds)]
     assert np.mean(errors) < np.mean(linear)
 
 
