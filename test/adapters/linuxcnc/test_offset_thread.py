@@ -29,7 +29,7 @@ def in_force(lines=(20e-6, 1e-4, 0.0), position=0.0):
     return thread
 
 
-@pytest.mark.parametrize('steps', [3000, pytest.param(100_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize('steps', [3000, pytest.param(100_000, marks=pytest.mark.qualify)])
 def test_equal_to_the_guard_of_the_bridges(steps):
     """Random lines, some too large or too steep, some taken back on the way."""
     rng = np.random.default_rng(steps)
@@ -60,7 +60,7 @@ def test_equal_to_the_guard_of_the_bridges(steps):
         assert [thread.line.low, thread.line.high] == pytest.approx(ends.tolist(), abs=1e-15)
 
 
-@pytest.mark.parametrize('steps', [20_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize('steps', [20_000, pytest.param(1_000_000, marks=pytest.mark.qualify)])
 def test_no_place_is_beyond_the_size_or_faster_than_the_rate(steps):
     """Whatever is asked for, and wherever the position leaps; modes change meanwhile."""
     rng = np.random.default_rng(steps)

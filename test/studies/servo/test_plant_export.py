@@ -59,7 +59,7 @@ class Compiled:
         self._library.axis_drive(self._memory, ctypes.c_double(duty))
 
 
-@pytest.mark.parametrize('steps', [3000, pytest.param(100_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize('steps', [3000, pytest.param(100_000, marks=pytest.mark.qualify)])
 @pytest.mark.parametrize('case', CASES)
 def test_equal_to_python(case, steps, tmp_path):
     machine, changes = CASES[case]
