@@ -3,9 +3,11 @@
 """How Sphinx builds the site; `tools/make_docs.py` calls it and says what it adds to the pages."""
 
 import re
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+from bs4 import BeautifulSoup
 from pygments.lexers.special import TextLexer
 
 import fuzzycnc_ros
@@ -71,8 +73,42 @@ def left_out(app: Any, what: str, name: str, item: Any, skip: bool, options: Any
     return True if module.startswith('sklearn') or re.fullmatch(r'set_\w+_request', name) else None
 
 
+def sort_objects(app: Any, env: Any) -> None:
+    """Let no link of an ambiguous word depend on which of the parallel readers ends first."""
+    objects = env.domaindata['py']['objects']
+    ordered = sorted(objects.items())
+    objects.clear()
+    objects.update(ordered)
+
+
+@cache
+def tree(builder: Any, **options: Any) -> str:
+    """Return the tree of all pages as the page `index` has it, where none is the current one."""
+    return str(builder._get_local_toctree('index', **options))
+
+
+def share_tree(app: Any, page: str, template: str, context: Any, doctree: Any) -> None:
+    """Let all pages share one tree; Sphinx copies the whole one anew for each of them."""
+    uri = app.builder.get_relative_uri
+
+    def toctree(**options: Any) -> str:
+        soup = BeautifulSoup(tree(app.builder, **options), 'html.parser')
+        for link in soup.find_all('a'):
+            name = link['href'].removesuffix('.html')
+            link['href'] = uri(page, name) or '#'
+            if name == page:
+                link['class'].insert(0, 'current')
+                for item in link.find_parents(['li', 'ul']):
+                    item['class'] = [*item.get('class', []), 'current']
+        return str(soup)
+
+    context['toctree'] = toctree
+
+
 def setup(app: Any) -> None:
     """Connect the above."""
     app.connect('autodoc-process-docstring', plain, priority=400)  # before napoleon
     app.connect('autodoc-skip-member', left_out)
+    app.connect('env-updated', sort_objects)
+    app.connect('html-page-context', share_tree, priority=400)  # before furo asks for the tree
     app.add_lexer('iecst', TextLexer)  # structured text, which Pygments does not know

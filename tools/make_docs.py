@@ -256,7 +256,8 @@ def main() -> int:
     for book in sorted((SOURCE / 'examples').glob('*.ipynb')):
         add_contents('tutorials/index.md', f'../examples/{book.stem}')
     shutil.rmtree(HTML, ignore_errors=True)
-    options = ['-W', '--keep-going', '-q', '-b', 'html', '-d', str(HTML.parent / 'doctrees')]
+    options = ['-W', '--keep-going', '-q', '-j', 'auto', '-b', 'html']
+    options += ['-d', str(HTML.parent / 'doctrees')]
     failed = build_main([*options, *sys.argv[1:], str(SOURCE), str(HTML)])
     found = fetched()
     for line in found:
