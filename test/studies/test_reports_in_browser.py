@@ -371,7 +371,8 @@ def recordings(tmp_path_factory, root):
         (folder / name).write_bytes((root / 'examples' / name).read_bytes())
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        assert run(['simulate', '--duties', 'T2', '--out', 'shift']) == 0
+        simulate = (*COMMANDS['simulate'], '--report', 'simulate.html')
+        assert run([*simulate, '--out', 'shift']) == 0
         assert run(['train', *RUNS, '--out', 'm.json']) == 0
     return folder
 
@@ -383,7 +384,8 @@ def test_each_kind_of_report_fits_all_screens(reader, recordings, name, monkeypa
 
     monkeypatch.chdir(recordings)
     page = recordings / f'{name}.html'
-    assert run([*COMMANDS[name], OUT.get(name, '--report'), str(page)]) == 0
+    if not page.is_file():
+        assert run([*COMMANDS[name], OUT.get(name, '--report'), str(page)]) == 0
     assert page.stat().st_size <= SIZE_MAX
     check(reader, page)
     reader.open(page)
