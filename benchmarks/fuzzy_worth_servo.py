@@ -161,7 +161,7 @@ def lathe_ways(trials: int) -> Mapping[str, tuple[str, Make]]:
         ),
     }  # fmt: skip
     for name, tunable in LATHE_TUNABLES.items():
-        population = max(round(2 * CANDIDATES / len(tunable.bounds)), 1)
+        population = max(round(min(trials, 2 * CANDIDATES) / len(tunable.bounds)), 1)
         generations = round(trials / (population * len(tunable.bounds))) - 1
 
         def make(
@@ -546,7 +546,7 @@ def _run(
 
 
 def _trials(quick: bool) -> int:
-    return 2 * CANDIDATES if quick else TRIALS
+    return CANDIDATES if quick else TRIALS
 
 
 def _courses(quick: bool) -> Sequence[Reference]:
