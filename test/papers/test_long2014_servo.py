@@ -171,16 +171,21 @@ def random_positioning(count, *, hard, stick_slip):
     return 1e6 * batch.steady_error(3.0)
 
 
+MOVES = pytest.mark.parametrize('count', [60, pytest.param(200, marks=pytest.mark.qualify)])
+
+
 @pytest.mark.slow
-def test_random_moderate_moves():
-    error = random_positioning(200, hard=False, stick_slip=StickSlipParams())
+@MOVES
+def test_random_moderate_moves(count):
+    error = random_positioning(count, hard=False, stick_slip=StickSlipParams())
     assert (error <= 1.0).mean() >= 0.97
     assert (error <= 2.0).mean() >= 0.99
 
 
 @pytest.mark.slow
-def test_random_moves_with_hard_friction():
-    error = random_positioning(200, hard=True, stick_slip=StickSlipParams())
+@MOVES
+def test_random_moves_with_hard_friction(count):
+    error = random_positioning(count, hard=True, stick_slip=StickSlipParams())
     assert (error <= 2.0).mean() >= 0.96
     assert error.max() < 30.0  # without relief some hunt at 50 um for good
 
