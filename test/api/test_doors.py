@@ -150,7 +150,7 @@ def test_an_axis_is_not_sent_beyond_its_travel(to):
 
 
 def test_a_setting_is_a_number():
-    with pytest.raises(ValueError, match="settings: expected bandwidth from .* found 'fast'"):
+    with pytest.raises(ValueError, match=r"settings: expected bandwidth from .* found 'fast'"):
         servo.controller(servo.read_axis('lathe', 'X'), 'pid', bandwidth='fast')
 
 

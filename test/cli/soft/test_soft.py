@@ -443,7 +443,8 @@ def test_a_model_whose_large_errors_are_larger_is_not_chosen():
     for worst, best in ((1.0, 0), (-0.5, 1)):
         changed = near + np.repeat([[-1.0, 0.0], [worst, 0.0]], [30, 10], axis=0)
         rms = [float(np.sqrt((found**2).mean())) for found in (near, changed)]
-        errors = [SimpleNamespace(predicted=p, rms=r) for p, r in zip((near, changed), rms)]
+        pairs = zip((near, changed), rms, strict=True)
+        errors = [SimpleNamespace(predicted=p, rms=r) for p, r in pairs]
         assert _chosen(SimpleNamespace(errors=errors), s, groups, 2) == best
 
 
