@@ -60,6 +60,9 @@ __all__ = [
     'train',
 ]
 
+EXTENT_MAX = 20.0
+"""Extent of a pattern that is likely [m]."""
+
 
 def train(
     x: ArrayLike,
@@ -240,7 +243,7 @@ def compensate(
     Warns
     -----
     UserWarning
-        If no step is inside the domain of the model.
+        If no step is inside the domain of the model, or points look like millimetres.
 
     Raises
     ------
@@ -260,6 +263,12 @@ def compensate(
     True
     """
     path = pattern if isinstance(pattern, StitchPath) else StitchPath.of_primitives(pattern)
+    if (extent := float(np.ptp(path.points, axis=0).max())) > EXTENT_MAX:
+        warnings.warn(
+            f'pattern: expected metres, at most {EXTENT_MAX:g} m, but found {extent:g} m; divide '
+            'by 1000 if it is in millimetres',
+            stacklevel=2,
+        )
     found = compensated(path, material, model, config)
     if found.refused.all():
         warnings.warn(

@@ -19,6 +19,8 @@ from fuzzycnc_ros.runtime.convert import Target
 PACKAGE = 'fuzzycnc_msgs'
 """The package of the messages of fuzzycnc."""
 
+COMPRESSED = 'compressed by rosbag2 one by one; convert the bag with `ros2 bag convert` first'
+
 _lock = RLock()  # the recorder adds topics while its thread writes
 
 
@@ -166,10 +168,16 @@ def deserialize(raw: bytes, type_name: str, store: Any = None) -> Any:
     try:
         return (store or typestore()).deserialize_cdr(raw, type_name)
     except _decoding_errors() as error:
+        why = 'the message is damaged or was recorded with another definition of the type'
         raise BagDataError(
-            f'expected {len(raw)} bytes that fit {type_name} but found: {error}; the message is '
-            'damaged or was recorded with another definition of the type'
+            f'expected {len(raw)} bytes that fit {type_name} but found: '
+            + (COMPRESSED if is_compressed(raw) else f'{error}; {why}')
         ) from error
+
+
+def is_compressed(raw: bytes) -> bool:
+    """Return whether rosbag2 has compressed a message: no CDR begins as zstd does."""
+    return bytes(raw[:4]) == b'\x28\xb5\x2f\xfd'
 
 
 @cache

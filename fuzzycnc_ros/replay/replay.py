@@ -202,7 +202,8 @@ def replay(
     BagError
         If the bag cannot be read.
     ReplayError
-        If it holds no configuration of a component, so that nothing can be set up.
+        If it holds no configuration of a component, so that nothing can be set up, or no topic
+        of a name that is given.
 
     Notes
     -----
@@ -211,6 +212,7 @@ def replay(
     """
     with BagReader(path) as reader:
         recording = _BagMessages(reader)
+    recording.check_given(given)
     wanted = [name for name in recording.nodes if not nodes or name.split('/')[-1] in nodes]
     if not wanted:
         raise ReplayError(
@@ -457,7 +459,9 @@ class _BagMessages:
             found = replace(found, recorded=self._counts[topic], largest_difference=inf)
             why = why or f'{after} came after {self._after_step}'
             why = '' if found.identical < len(recorded) and not failure else why
-        left_out = bool(messages and self._publishers) and topic not in self._kinds
+        # What was not to be recorded has no publishers there; what has them was lost since.
+        known = self._kinds.keys() | self._publishers.keys()
+        left_out = bool(messages and self._publishers) and topic not in known
         return replace(found, not_recomputed=why, left_out=left_out)
 
     def _as_now(self, raw: list[tuple[str, bytes]]) -> list[tuple[str, bytes]]:
@@ -523,6 +527,15 @@ class _BagMessages:
                     )
                 )
         return lost, taken
+
+    def check_given(self, given: Sequence[str]) -> None:
+        """Refuse topics said to be given of which the bag has none."""
+        there = {name for topic in self._kinds for name in (topic, topic.rpartition('/')[2])}
+        if unknown := [topic for topic in given if topic not in there]:
+            raise ReplayError(
+                f'given topics: expected some of the bag but found {", ".join(unknown)}; '
+                f'it has {", ".join(sorted(self._kinds))}'
+            )
 
     def _traces(self) -> set[str]:
         """Return the nodes, each in its namespace, that events, turns and topics tell of."""

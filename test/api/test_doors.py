@@ -149,6 +149,11 @@ def test_an_axis_is_not_sent_beyond_its_travel(to):
         moved_for(to=to)
 
 
+def test_a_setting_is_a_number():
+    with pytest.raises(ValueError, match=r"settings: expected bandwidth from .* found 'fast'"):
+        servo.controller(servo.read_axis('lathe', 'X'), 'pid', bandwidth='fast')
+
+
 @pytest.mark.parametrize('duration', [0.0, 1e-4, -1.0, np.nan, np.inf, 5e5])
 def test_a_move_takes_a_time(duration):
     with pytest.raises(ValueError, match=r'duration: expected 0\.001 s, one period, to 3600 s'):
@@ -230,6 +235,9 @@ def test_a_sheet_that_the_model_does_not_know_is_doubted():
     with pytest.warns(UserWarning, match='there is no compensation; depth, step and thickness'):
         found = soft.compensate([line], model, soft.SheetMaterial(20.0))
     assert not found.offset.any()
+    line = soft.Primitive((20.0, 60.0), (120.0, 60.0), depth=0.006, step=0.003)
+    with pytest.warns(UserWarning, match='pattern: expected metres, at most 20 m, but found 100'):
+        soft.compensate([line], model, soft.SheetMaterial(0.02))
 
 
 def test_a_pattern_is_compensated_by_a_trained_model():
@@ -251,6 +259,9 @@ def test_samples_in_other_units_are_refused_or_doubted():
         soft.train(radians, s, method='ridge')
     with pytest.warns(UserWarning, match='multiply by 1000 if they are metres'):
         soft.train(x, 1e-3 * s, method='ridge')
+    inches = x / [1.0, 25.4, 1.0, 25.4, 25.4]
+    with pytest.warns(UserWarning, match='multiply all lengths by 25.4 if they are inches'):
+        soft.train(inches, s / 25.4, method='ridge')
     with pytest.raises(ValueError, match='one group for each of 265 rows'):
         soft.train(x, s[:100])
 

@@ -419,6 +419,18 @@ def test_chunks_of_other_writers_are_read_however_they_are_compressed(tmp_path, 
     assert said == [f'message {number}' for number in range(100)]
 
 
+def test_messages_that_rosbag2_compressed_one_by_one_are_not_called_damaged(tmp_path, fuzzycnc):
+    payload = b'\0\1\0\0' + struct.pack('<I', 5) + b'told\0'
+    with BagWriter(tmp_path / 'bag', flush_interval=None) as writer:
+        writer.add_topic('/said', 'std_msgs/msg/String')
+        writer.write('/said', 1, 1, zstandard.compress(payload))
+    with BagReader(tmp_path / 'bag') as reader:
+        with pytest.raises(BagDataError, match='compressed by rosbag2 one by one; convert'):
+            list(reader.messages())
+    assert 'problem: ' in (told := fuzzycnc('info', tmp_path / 'bag').out)
+    assert '1 messages are compressed by rosbag2 one by one' in ' '.join(told.split())
+
+
 TOPICS = 'CREATE TABLE topics(id, name, type, serialization_format)'
 MESSAGES = 'CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data)'
 

@@ -34,7 +34,7 @@ from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector
 from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureAcquisition
 from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.registry import COMPONENTS
-from fuzzycnc_ros.replay.replay import ReplayReport, TopicComparison, replay
+from fuzzycnc_ros.replay.replay import ReplayError, ReplayReport, TopicComparison, replay
 from fuzzycnc_ros.runtime.arithmetic import arithmetic
 from fuzzycnc_ros.runtime.graph import InProcessGraph
 from fuzzycnc_ros.runtime.host import NodeEvent
@@ -228,6 +228,8 @@ def test_a_node_of_another_maker_is_believed_where_the_recorder_saw_it(thermal, 
     assert not report.equivalent
     assert 'name it as given' in report.topics[-1].not_recomputed
     assert replay(folder / 'a', given=('temperatures', '/mill/thermal_reference')).identical
+    with pytest.raises(ReplayError, match='found temperature; it has /mill/axis'):
+        replay(folder / 'a', given=('temperature', '/mill/thermal_reference'))
 
     said = {'topics': {}, 'publishers': {t: ['/mill/my_logger'] for t in topics}}
     report = replay(replace(bag, recording=said).write(folder / 'a'))
@@ -258,6 +260,8 @@ def test_a_topic_that_was_not_to_be_recorded_is_said_to_be_left_out(thermal, fol
     assert report.identical
     (row,) = (item for item in report.topics if item.left_out)
     assert (row.topic, row.recorded) == ('/mill/predictor_state', 0)
+    said['publishers']['/mill/predictor_state'] = ['/mill/thermal_predictor']  # lost since
+    assert not replay(replace(bag, topics=topics, recording=said).write(folder / 'a')).equivalent
     # Announced, it was to be recorded: its messages are lost.
     assert not replay(replace(bag, recording=said).write(folder / 'a')).equivalent
 

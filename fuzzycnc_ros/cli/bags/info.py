@@ -77,11 +77,17 @@ def info(
 
 def _count(reader: 'BagReader', tell: Tell) -> Counter[str]:
     """Read every message and return how many there are, by topic."""
+    from fuzzycnc_ros.bags.typestore import COMPRESSED, is_compressed
+
     read: Counter[str] = Counter()
+    compressed = 0
     for number, message in enumerate(reader.messages(raw=True)):
         read[message.topic] += 1
+        compressed += is_compressed(message.message)
         if number % 1000 == 0:
             tell('reading', number, reader.message_count)
+    if compressed:
+        reader.problems.append(f'{reader.path}: {compressed} messages are {COMPRESSED}')
     return read
 
 

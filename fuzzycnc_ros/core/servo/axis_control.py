@@ -207,9 +207,9 @@ def _checked(name: str, given: Mapping[str, float]) -> dict[str, float]:
                 f'but found {key!r}'
             )
         low, high, _ = SETTINGS.get(key, _FRICTION)
-        if not low <= value <= high:
+        if not (isinstance(value, (int, float)) and low <= value <= high):
             raise ValueError(
-                f'settings: expected {key} from {low:g} to {high:g} but found {value}'
+                f'settings: expected {key} from {low:g} to {high:g} but found {value!r}'
             )
     plain = {key: value for key, (_, _, value) in {**SETTINGS, 'friction': _FRICTION}.items()}
     return plain | dict(given)

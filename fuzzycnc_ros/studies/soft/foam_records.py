@@ -239,6 +239,8 @@ COLUMNS = ('direction_deg', 'depth_mm', 'type', 'step_mm', 'thickness_mm', 's_x_
 
 POSSIBLE = {'depth_mm': (0.1, 200.0), 'step_mm': (0.1, 100.0), 'thickness_mm': (0.3, 500.0)}
 """Lengths that a foot, a stitch and a soft sheet can have [mm]."""
+STEP_LIKELY = 0.4
+"""Stitch step [mm] that the largest one is likely to reach."""
 NEEDED = (0.05, 50.0)
 """Largest compensations that are likely: less than a stitch can be placed, more than the feed."""
 
@@ -335,7 +337,7 @@ def array_samples(x: ArrayLike, s: ArrayLike, groups: ArrayLike | None = None) -
     rows, needed = folded_samples(rows, needed)
     group = equal_rows(rows) if labels is None else np.unique(labels, return_inverse=True)[1]
     where = tuple(f'row {number}' for number in range(len(rows)))
-    return Samples(rows, needed, group, tuple(_doubts(needed)), where)
+    return Samples(rows, needed, group, tuple(_doubts(rows, needed)), where)
 
 
 def _read_csv(path: Path) -> Samples:
@@ -356,7 +358,7 @@ def _read_csv(path: Path) -> Samples:
         how = 'one sheet'
     said = f'{path}: {len(table)} samples in {len(np.unique(groups))} groups of {how}'
     where = tuple(f'line {number}' for number in found.lines)
-    return Samples(x, s, groups, (said, *_doubts(s)), where)
+    return Samples(x, s, groups, (said, *_doubts(x, s)), where)
 
 
 def _check_units(where: str, table: Array) -> None:
@@ -381,8 +383,13 @@ def _check_units(where: str, table: Array) -> None:
             )
 
 
-def _doubts(needed: Array) -> list[str]:
-    """Return what is strange about compensations, though it can be."""
+def _doubts(x: Array, needed: Array) -> list[str]:
+    """Return what is strange about process values or compensations, though it can be."""
+    step = float(x[:, COLUMNS.index('step_mm')].max())
+    if step < STEP_LIKELY:
+        return [
+            f'note: step_mm is {step:g} at most; multiply all lengths by 25.4 if they are inches'
+        ]
     names, largest = ' and '.join(COLUMNS[5:]), float(np.abs(needed).max(initial=0.0))
     if 0.0 < largest < NEEDED[0]:
         return [f'note: {names} are {largest:g} at most; multiply by 1000 if they are metres']

@@ -187,7 +187,7 @@ def train_model(
     """Find outliers, hold samples out in turn, choose a model, and train it on all that remain.
 
     A model is taken over a simpler one if it is better on held-out samples beyond chance: by a
-    t test on the errors of the groups.
+    t test on the errors of the groups, and by the rms of all.
 
     Parameters
     ----------
@@ -288,7 +288,9 @@ def _chosen(judged: FoamTraining, s: Array, groups: NDArray[np.int64], rivals: i
     best = 0
     for place in range(1, len(error)):
         level = AGAINST_SIMPLER if best else AGAINST_NONE
-        if beyond_chance(error[best] - error[place], level):
+        # By the rms too, in which samples that it misses by far weigh more.
+        larger = judged.errors[place].rms > judged.errors[best].rms
+        if not larger and beyond_chance(error[best] - error[place], level):
             best = place
     return best
 

@@ -3,6 +3,7 @@
 """`fuzzycnc soft`: demo, train and learn, and what they refuse."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
 from fuzzycnc_ros.studies.soft.foam_records import COLUMNS, array_samples
-from fuzzycnc_ros.studies.soft.foam_training import train_model
+from fuzzycnc_ros.studies.soft.foam_training import _chosen, train_model
 
 TRACK = FoamTrack.parallelogram(np.radians(45.0))
 
@@ -434,6 +435,17 @@ def test_a_network_is_trained_on_what_outliers_leave(samples):
     assert found.method == 'network'
     assert {'row 3', 'row 11'} <= set(found.outliers)
     assert found.judged.folds == found.judged.groups
+
+
+def test_a_model_whose_large_errors_are_larger_is_not_chosen():
+    s, groups = np.zeros((40, 2)), np.arange(40)
+    near = np.repeat([[2.0, 0.0], [6.0, 0.0]], [30, 10], axis=0)
+    for worst, best in ((1.0, 0), (-0.5, 1)):
+        changed = near + np.repeat([[-1.0, 0.0], [worst, 0.0]], [30, 10], axis=0)
+        rms = [float(np.sqrt((found**2).mean())) for found in (near, changed)]
+        pairs = zip((near, changed), rms, strict=True)
+        errors = [SimpleNamespace(predicted=p, rms=r) for p, r in pairs]
+        assert _chosen(SimpleNamespace(errors=errors), s, groups, 2) == best
 
 
 def test_enough_rows_in_too_few_groups_are_named(refused, tmp_path, samples):
