@@ -37,7 +37,7 @@ GAINS = (0.5, 0.75, 1.0, 1.4, 2.0)
 
 MARGINS = (0.4, 2.4)
 """Gains beyond these, with a period more of dead time, on a long fast way with little friction:
-what swings there has no margin."""
+what gives up there has no margin."""
 
 HELD_OUT_GAINS = (0.5, 0.62, 0.85, 1.2, 1.7, 2.0)
 """Factors on the gain on which it is judged."""
@@ -389,12 +389,14 @@ def _lost(data: AxisData, fault: str) -> AxisFigures:
 def cases_cost(data: AxisData, controller: AxisController, cases: Sequence[AxisCase]) -> float:
     """Return what cases of the simulated axis cost a controller, as `tune_controller` [m].
 
-    One that takes gain back saves itself, but its loop swings: the case counts as given up.
+    One that takes gain back saves itself, but its loop swings: the case counts as given up, unless
+    the axis has more dead time than its model.
     """
     figures = []
     for case in cases:
         one = _drive_case(controller, _simulated_case(data, case), data, case)
-        figures.append(_lost(data, SWINGING) if controller.taken_back else one)
+        swings = controller.taken_back and not case.delay
+        figures.append(_lost(data, SWINGING) if swings else one)
     return tuning_cost(data, figures)
 
 
@@ -481,6 +483,8 @@ def tune_controller(
         return cases_cost(data, untold_controller(data, name, settings), cases)
 
     init = stiff_settings(data, name, ranges, begin, population, seed)
+    if not data.knowledge.known_to:
+        init[-1] = [log(plain) for _, _, plain in ranges.values()]
     outcome = evolved(cost, ranges, generations, seed, progress, popsize=population, init=init)
     judged = judged_controller(data, name, settings_at(ranges, outcome.x), seed=seed)
     return replace(judged, cost=float(outcome.fun), trials=tried)
@@ -563,7 +567,8 @@ def untold_controller(data: AxisData, name: str, settings: Mapping[str, float]) 
 def nominal_judge(data: AxisData) -> Judge:
     """Return the judge of loops of an axis of which no more than a model is known.
 
-    They have to be stable at the gains `MARGINS`, with a period more of dead time.
+    They have to be stable at the gains `MARGINS`, with a period more of dead time up to half of
+    the larger one: a loop that swings there has some gain to take back.
     """
     axis = data.known_plant().linear()
     dynamics, duty, _ = axis.discrete()
@@ -571,13 +576,13 @@ def nominal_judge(data: AxisData) -> Judge:
     late, entry = np.zeros((size + 1, size + 1)), np.zeros(size + 1)
     late[:size, :size], late[:size, size], entry[size] = dynamics, duty, 1.0
     reading = np.append(axis.c, 0.0)
+    low, high = MARGINS
 
     def judge(controller: AxisController) -> tuple[float, float]:
         law = controller.feedback_law()
-        radius = max(
-            float(np.abs(np.linalg.eigvals(closed_loop(late, entry, gain * reading, law))).max())
-            for gain in (MARGINS[0], 1.0, MARGINS[1])
-        )
+        loops = [closed_loop(dynamics, duty, gain * axis.c, law) for gain in (low, 1.0, high)]
+        loops += [closed_loop(late, entry, gain * reading, law) for gain in (low, 0.5 * high)]
+        radius = max(float(np.abs(np.linalg.eigvals(loop)).max()) for loop in loops)
         if radius >= 1.0:
             return radius, 1.0
         whole = closed_loop(dynamics, duty, axis.c, law)
