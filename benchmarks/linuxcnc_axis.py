@@ -172,6 +172,8 @@ class PidDriver:
         Of `pid_ranges`.
     """
 
+    taken_back = False
+
     def __init__(self, data: AxisData, settings: Mapping[str, float]) -> None:
         self._period, self._pins = data.known_plant().period, pid_pins(data, settings)
         self.watch = make_axis_controller(data, 'pid').watch

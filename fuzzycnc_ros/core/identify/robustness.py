@@ -244,6 +244,11 @@ class AxisModels:
             yielding=float(np.exp(np.log(gives).mean())),
         )
 
+    def judge(self, controller: AxisController, *, spread: bool = True) -> tuple[float, float]:
+        """Return shortfall and yielding of `margin`."""
+        found = self.margin(controller, spread=spread)
+        return found.shortfall, found.yielding
+
 
 def sampled(plant: BallscrewAxisConfig) -> _Sampled:
     """Return the linear model of an axis with its mode and its dead time, sampled exactly.

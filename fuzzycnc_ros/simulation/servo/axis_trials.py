@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from math import inf, sqrt
 
 from fuzzycnc_ros.core import portable
@@ -158,7 +159,8 @@ class TrialSearch:
         for name in AXIS_CONTROLLERS:
             if self._models is not None:
                 ranges = setting_ranges(data, name, SETTINGS)
-                stiff = stiff_settings(data, name, ranges, self._models, _CANDIDATES, 0)
+                judge = partial(self._models.judge, spread=False)
+                stiff = stiff_settings(data, name, ranges, judge, _CANDIDATES, 0)
                 yield name, settings_at(ranges, stiff[0])
             yield name, plain
 

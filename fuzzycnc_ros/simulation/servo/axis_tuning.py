@@ -7,6 +7,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import inf, isfinite, log, sqrt
 from typing import Any
 
@@ -24,8 +25,9 @@ from fuzzycnc_ros.core.servo.axis_control import (
     setting_ranges,
     untuned_settings,
 )
-from fuzzycnc_ros.core.servo.controller import AxisController
+from fuzzycnc_ros.core.servo.controller import AxisController, closed_loop
 from fuzzycnc_ros.core.servo.course import REST, AxisFigures, single_way, there_and_back
+from fuzzycnc_ros.core.servo.feedback_watch import SWINGING
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning
 from fuzzycnc_ros.core.servo.profile import ProfileLimits
 from fuzzycnc_ros.simulation.servo.axes import AxisPlant, simulated_axis
@@ -35,7 +37,7 @@ GAINS = (0.5, 0.75, 1.0, 1.4, 2.0)
 
 MARGINS = (0.4, 2.4)
 """Gains beyond these, with a period more of dead time, on a long fast way with little friction:
-what swings there has no margin."""
+what gives up there has no margin."""
 
 HELD_OUT_GAINS = (0.5, 0.62, 0.85, 1.2, 1.7, 2.0)
 """Factors on the gain on which it is judged."""
@@ -69,6 +71,9 @@ _STEPS, _STEP = 12, 1.2
 _UNSTABLE = 1e6
 """Cost of a loop that is not stable over all that the axis may be [m]."""
 
+_PUSHED = 300
+"""Periods for which a force acts on a loop whose stiffness is reckoned."""
+
 _SCANNED = 200
 """Settings whose margin is worked out before the first is driven."""
 
@@ -80,6 +85,10 @@ _PER_FAULT = 100.0
 
 _Progress = Callable[[int, int], None]
 """Told how many generations are done, and how many there are."""
+
+Judge = Callable[[AxisController], tuple[float, float]]
+"""Tells what a loop lacks to be stable, 0 if nothing [-], and how far a force moves it
+[m per unit of the duty]."""
 
 Plant = Callable[['AxisCase'], AxisPlant]
 """Makes the axis that a case is driven on."""
@@ -367,16 +376,28 @@ def _drive_case(
         # What acts on the drive is what loads it; its range has to hold both.
         plant.drive(duty - case.pulse * (step // width % 2) if case.pulse else duty)
         if controller.watch.fault:
-            lost = _GIVEN_UP * (data.limits.travel_high - data.limits.travel_low)
-            return AxisFigures(rms=lost, largest=lost, rest=lost, fault=controller.watch.fault)
+            return _lost(data, controller.watch.fault)
     return course.figures(errors)
 
 
+def _lost(data: AxisData, fault: str) -> AxisFigures:
+    """Return the figures of a case that is given up."""
+    lost = _GIVEN_UP * (data.limits.travel_high - data.limits.travel_low)
+    return AxisFigures(rms=lost, largest=lost, rest=lost, fault=fault)
+
+
 def cases_cost(data: AxisData, controller: AxisController, cases: Sequence[AxisCase]) -> float:
-    """Return what cases of the simulated axis cost a controller, as `tune_controller` [m]."""
-    return tuning_cost(
-        data, [_drive_case(controller, _simulated_case(data, case), data, case) for case in cases]
-    )
+    """Return what cases of the simulated axis cost a controller, as `tune_controller` [m].
+
+    One that takes gain back saves itself, but its loop swings: the case counts as given up, unless
+    the axis has more dead time than its model.
+    """
+    figures = []
+    for case in cases:
+        one = _drive_case(controller, _simulated_case(data, case), data, case)
+        swings = controller.taken_back and not case.delay
+        figures.append(_lost(data, SWINGING) if swings else one)
+    return tuning_cost(data, figures)
 
 
 def load_time(data: AxisData, case: AxisCase, period: float) -> float:
@@ -443,23 +464,28 @@ def tune_controller(
     """
     ranges = setting_ranges(data, name, search)
     cases = axis_cases(data, seed=seed)
-    models = AxisModels(data) if data.knowledge.known_to else None
+    judge: Judge
+    begin: Judge
+    if data.knowledge.known_to:
+        models = AxisModels(data)
+        judge, begin = models.judge, partial(models.judge, spread=False)
+    else:
+        judge = begin = nominal_judge(data)
     tried = 0
 
     def cost(point: Array) -> float:
         nonlocal tried
         settings = settings_at(ranges, point)
-        if models is not None:
-            shortfall = models.margin(untold_controller(data, name, settings)).shortfall
-            if shortfall:
-                return _UNSTABLE * (1.0 + shortfall)
+        shortfall, _ = judge(untold_controller(data, name, settings))
+        if shortfall:
+            return _UNSTABLE * (1.0 + shortfall)
         tried += 1
         return cases_cost(data, untold_controller(data, name, settings), cases)
 
-    given: dict[str, Any] = {'x0': [log(plain) for _, _, plain in ranges.values()]}
-    if models is not None:
-        given = {'init': stiff_settings(data, name, ranges, models, population, seed)}
-    outcome = evolved(cost, ranges, generations, seed, progress, popsize=population, **given)
+    init = stiff_settings(data, name, ranges, begin, population, seed)
+    if not data.knowledge.known_to:
+        init[-1] = [log(plain) for _, _, plain in ranges.values()]
+    outcome = evolved(cost, ranges, generations, seed, progress, popsize=population, init=init)
     judged = judged_controller(data, name, settings_at(ranges, outcome.x), seed=seed)
     return replace(judged, cost=float(outcome.fun), trials=tried)
 
@@ -483,7 +509,7 @@ def evolved(
     generations, seed, progress
         As `tune_controller`.
     **population
-        Of `scipy.optimize.differential_evolution`: `popsize`, `x0`, `init`.
+        Of `scipy.optimize.differential_evolution`: `popsize`, `init`.
 
     Returns
     -------
@@ -538,11 +564,43 @@ def untold_controller(data: AxisData, name: str, settings: Mapping[str, float]) 
         return make_axis_controller(data, name, settings)
 
 
+def nominal_judge(data: AxisData) -> Judge:
+    """Return the judge of loops of an axis of which no more than a model is known.
+
+    They have to be stable at the gains `MARGINS`, with a period more of dead time up to half of
+    the larger one: a loop that swings there has some gain to take back.
+    """
+    axis = data.known_plant().linear()
+    dynamics, duty, _ = axis.discrete()
+    size = len(duty)
+    late, entry = np.zeros((size + 1, size + 1)), np.zeros(size + 1)
+    late[:size, :size], late[:size, size], entry[size] = dynamics, duty, 1.0
+    reading = np.append(axis.c, 0.0)
+    low, high = MARGINS
+
+    def judge(controller: AxisController) -> tuple[float, float]:
+        law = controller.feedback_law()
+        loops = [closed_loop(dynamics, duty, gain * axis.c, law) for gain in (low, 1.0, high)]
+        loops += [closed_loop(late, entry, gain * reading, law) for gain in (low, 0.5 * high)]
+        radius = max(float(np.abs(np.linalg.eigvals(loop)).max()) for loop in loops)
+        if radius >= 1.0:
+            return radius, 1.0
+        whole = closed_loop(dynamics, duty, axis.c, law)
+        state, gives = np.zeros(len(whole)), 0.0
+        for _ in range(_PUSHED):
+            state = whole @ state
+            state[:size] += duty
+            gives += abs(float(axis.c @ state[:size]))
+        return 0.0, gives / _PUSHED
+
+    return judge
+
+
 def stiff_settings(
     data: AxisData,
     name: str,
     ranges: Mapping[str, tuple[float, float, float]],
-    models: AxisModels,
+    judge: Judge,
     population: int,
     seed: int,
 ) -> Array:
@@ -554,10 +612,7 @@ def stiff_settings(
     low, high = np.log(np.array([(low, high) for low, high, _ in ranges.values()])).T
 
     def shortfall(point: Array) -> tuple[float, float]:
-        margin = models.margin(
-            untold_controller(data, name, settings_at(ranges, point)), spread=False
-        )
-        return margin.shortfall, margin.yielding
+        return judge(untold_controller(data, name, settings_at(ranges, point)))
 
     draw = qmc.LatinHypercube(len(ranges), seed=np.random.default_rng([seed, 1]))
     points = low + (high - low) * draw.random(_SCANNED)

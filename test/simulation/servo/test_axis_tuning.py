@@ -5,7 +5,13 @@
 import pytest
 
 from fuzzycnc_ros.machine_file.reader import read_machine_file
-from fuzzycnc_ros.simulation.servo.axis_tuning import axis_cases, judged_controller
+from fuzzycnc_ros.simulation.servo.axis_tuning import (
+    axis_cases,
+    cases_cost,
+    judged_controller,
+    nominal_judge,
+    untold_controller,
+)
 
 
 @pytest.fixture(scope='module')
@@ -44,3 +50,18 @@ def test_the_pulses_act_on_the_axis(data):
     """Pulses of the whole load move it several times as far as small ones."""
     small, *_, whole = judged_controller(data, 'pid', data.settings).held_out[-3:]
     assert whole.largest > 3.0 * small.largest
+
+
+def test_a_loop_that_saves_itself_by_less_gain_is_none_to_choose(data):
+    """At twice the gain it swings until it takes gain back, and leaves 3 um in that case."""
+    swings, holds = (
+        untold_controller(
+            data, 'cascade', {'bandwidth': width, 'damping': damping, 'estimator': 5}
+        )
+        for width, damping in ((2.0, 2.0), (0.6, 0.8))
+    )
+    twice = [case for case in axis_cases(data) if case.gain == 2.0]
+    assert cases_cost(data, swings, twice) > 1.0 > 1e-3 > cases_cost(data, holds, twice)
+    judge = nominal_judge(data)
+    assert judge(swings)[0] > 0.0 == judge(holds)[0]
+    assert judge(untold_controller(data, 'pid', data.settings))[1] < judge(holds)[1]
