@@ -275,7 +275,7 @@ def _doubts(
     columns = [channel.column for channel in mapping.channels]
     doubts += _lone_lines(table, sensors, lone, 1.0, 'degC')
     jumps = lone_values(recording.displacement, DISPLACEMENT_STEP)
-    doubts += _lone_lines(table, columns, jumps, 1e6, 'um')
+    doubts += _lone_lines(table, columns, jumps, 1e6, 'µm')
     if not mapping.zero:
         doubts += _offset_line(columns, recording)
     return tuple(f'{table.path}{doubt}' for doubt in doubts)

@@ -395,7 +395,7 @@ class Actions:
             )
         finally:
             await self.thread.do(lambda: self._node.destroy_publisher(publisher))
-        named = ', '.join(f'{axis} {1e6 * value:+.2f} um' for axis, value in values.items())
+        named = ', '.join(f'{axis} {1e6 * value:+.2f} µm' for axis, value in values.items())
         force = 'with' if compensated else 'without'
         return f'{named} told to {readers} nodes, {force} compensation in force'
 

@@ -646,7 +646,7 @@ def test_single_values_are_named_with_line_and_column(importing):
     doubts = importing(text).doubts
     assert len(doubts) == 2
     assert "line 51, column 'a': 83 degC stands alone between 30." in doubts[0]
-    assert "line 81, column 'ch': -90 um stands alone between 2" in doubts[1]
+    assert "line 81, column 'ch': -90 µm stands alone between 2" in doubts[1]
     assert all(doubt.endswith('empty the cell') for doubt in doubts)
 
 

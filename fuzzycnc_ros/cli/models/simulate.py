@@ -219,7 +219,7 @@ class _Shift:
 
         model = load_model(self._text)
         return [
-            f'trained on {", ".join(model.runs)}; sensors {", ".join(model.inputs)}; '
+            f'trained on duties {", ".join(model.runs)}; sensors {", ".join(model.inputs)}; '
             f'default: {default_text(model)}',
             *problem_lines(model),
         ]

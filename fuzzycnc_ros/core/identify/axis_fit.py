@@ -387,7 +387,7 @@ def check_recordings(recordings: Sequence[AxisRecording]) -> None:
     count = float(steps[steps > 0.0].min()) if (steps > 0.0).any() else inf
     if not moved > 100.0 * count:
         raise ValueError(
-            f'position: expected motion of more than 100 counts but found {1e6 * moved:.3g} um; '
+            f'position: expected motion of more than 100 counts but found {1e6 * moved:.3g} µm; '
             'the axis stands, or this is another column'
         )
 

@@ -75,7 +75,7 @@ def axis_fit_table(found: IdentifiedAxis, title: str) -> Table:
             else ('lowest resonance', 'unknown', f'above {mode.low:.3g}', 'Hz')
         )
         rows.append(('response known up to', f'{linear.known_to:.3g}', '', 'Hz'))
-    rows.append(('backlash', 'unknown', '', 'um'))
+    rows.append(('backlash', 'unknown', '', 'µm'))
     return Table(f'{title}: {found.fit.structure}', columns, tuple(rows))
 
 

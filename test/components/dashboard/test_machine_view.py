@@ -675,10 +675,10 @@ def test_probing_tells_what_the_last_changed_and_when_the_next_is_due():
     assert told['due_in'] == pytest.approx(5400.0 - (now - START) / SECOND)
     assert told['changes'] == [{'channel': 'Y', 'change': 1.5e-6}]
     assert told['cycle'] is None
-    view.take('probe_status', status(due=True, reason='Z to 9 um'), 0.0)
+    view.take('probe_status', status(due=True, reason='Z to 9 µm'), 0.0)
     view.take('probe_cycle_state', cycle_state(outcome='a chip', accepted=False), 0.0)
     told = view.document(0.0)['probing']
-    assert (told['due'], told['reason'], told['due_in']) == (True, 'Z to 9 um', None)
+    assert (told['due'], told['reason'], told['due_in']) == (True, 'Z to 9 µm', None)
     assert told['cycle']['outcome'] == 'a chip'
 
 
