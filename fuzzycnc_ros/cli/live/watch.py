@@ -26,7 +26,7 @@ COMPLETE_WITHIN = 8.0
 """Wall time [s] in which every node reports, once a second, also on a busy host."""
 REFRESH = 0.5
 """Wall time [s] between two screens."""
-KEYS = 'Ctrl+C ends; fuzzycnc operate acts on the machine'
+KEYS = 'Ctrl-C ends; fuzzycnc operate acts on the machine'
 """Last line of the screen."""
 
 
