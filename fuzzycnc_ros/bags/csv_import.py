@@ -179,7 +179,7 @@ def import_csv(
     The stamps are the time since the first imported row plus the epoch; log times equal them.
     """
     path = Path(file)
-    table = mapping.table(path)
+    table = mapping.table(path).with_joined(mapping.time)
     sensors = _sensor_columns(table, mapping)
     table.require([mapping.time], '--time')
     table.require([channel.column for channel in mapping.channels], '--displacement')

@@ -433,6 +433,14 @@ def test_a_time_that_is_none(complaint, row, cell, naming):
     assert naming in complaint(table(times, change=change))
 
 
+def test_date_and_time_in_columns_of_their_own_are_joined(importing, complaint):
+    split = german('Tag;Zeit;Vorn [°C];Hinten [°C];Z [µm]').replace('2026 ', '2026;')
+    assert complaint(split, **GERMAN | {'time': 'Tag'}).endswith('or both as --time DATE+TIME')
+    assert "'Tag+Ort' but the file has" in complaint(split, **GERMAN | {'time': 'Tag+Ort'})
+    report = importing(split, **GERMAN | {'time': 'Tag+Zeit'})
+    assert (report.start, report.samples) == (BEGIN.timestamp(), COUNT)
+
+
 def test_times_that_stand_still(complaint):
     def twice(rows):
         rows[50][0] = rows[49][0]
