@@ -228,7 +228,7 @@ class CsvTable:
         if self.decimal == '.' and _COMMA.fullmatch(found):
             return '; with decimal commas import with --decimal ,'
         if _THOUSANDS.fullmatch(found):
-            return '; remove what stands between thousands'
+            return '; remove the signs between thousands'
         if row == 0 and self.first == 0 and _is_of_units(self.rows[0]):
             last = self.first + len(self.rows) - 1
             return f'; leave out a line of units below the header with --rows 1:{last}'
@@ -337,7 +337,7 @@ class CsvTable:
         cells = self.cells(name)
         same = int((steps == 0.0).sum())
         if steps[row - 1] < 0.0 and _THOUSANDS.fullmatch(cells[row].strip()):
-            remedy = 'remove what stands between thousands'
+            remedy = 'remove the signs between thousands'
         elif steps[row - 1] < 0.0:
             end = self.first + len(self.rows) - 1
             remedy = (

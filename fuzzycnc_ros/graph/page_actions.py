@@ -383,7 +383,7 @@ class Actions:
             # The page itself reads it too, which is no reason to say that somebody does.
             await self._until(
                 lambda: publisher.get_subscription_count() > 1,
-                f'{machine}: nobody takes a probe; start a recorder or the predictor',
+                f'{machine}: no node takes a probe; start a recorder or the predictor',
             )
             await asyncio.sleep(SETTLED)
             readers = publisher.get_subscription_count() - 1

@@ -481,7 +481,7 @@ def cell(row, column, text):
             'expected a time but found none; leave out a line of units below the header with',
         ),
         (german(), {**GERMAN, 'decimal': '.'}, "found '21,000'; with decimal commas"),
-        (table(change=cell(18, 0, '1.020')), {}, 'remove what stands between thousands'),
+        (table(change=cell(18, 0, '1.020')), {}, 'remove the signs between thousands'),
         (
             table(change=cell(18, 0, '1.020')).replace('.', ',').replace('1,020', '1.020'),
             {'decimal': ','},

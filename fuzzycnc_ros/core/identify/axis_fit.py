@@ -627,5 +627,5 @@ def _why_not(name: str, value: float, low: float, high: float) -> str:
     if name == 'offset':
         return ''  # 0 is as good an answer as any other
     if low <= 0.0 or high - low > value:
-        return f'these data cannot tell it; {remedy} would'
+        return f'these data do not show it; {remedy} would'
     return ''

@@ -221,7 +221,7 @@ def best_candidates(
     comparison : Comparison
         What was held out.
     without : collection of str
-        Candidates that do not compete: those that no machine runs, unless told otherwise.
+        Candidates that do not compete: those that no machine runs, by default.
     """
     rms, refused = comparison.rms(), {*refused_anywhere(comparison), *without}
     best = {}

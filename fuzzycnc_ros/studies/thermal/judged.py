@@ -97,7 +97,7 @@ def training_remark(
         )
     if not recognised:
         return Remark(
-            f'{run}: whether the model was trained on these samples cannot be told; it does not '
+            f'{run}: whether the model was trained on these samples is unknown; it does not '
             'say enough of what it was trained on',
             True,
         )

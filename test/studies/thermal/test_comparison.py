@@ -244,7 +244,7 @@ def test_that_a_run_is_no_test_is_said_only_where_it_is_so(
 def test_that_nothing_was_trained_on_is_not_said_where_it_is_not_known():
     remark = training_remark('T2', {}, False, ('a',))
     assert remark.warning
-    assert 'cannot be told' in remark.text
+    assert 'is unknown' in remark.text
 
 
 def test_what_was_never_measured_is_neither_best_nor_diverged():
