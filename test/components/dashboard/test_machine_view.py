@@ -198,6 +198,15 @@ def test_a_probe_is_compared_also_before_an_offset_is_known():
     assert probed == pytest.approx(-2.8e-6)
 
 
+def test_a_probe_is_drawn_beside_the_error_without_the_offset_that_it_includes():
+    view = running()
+    view.take('displacement', probe(2.0e-7), 0.05)
+    history = view.history['error']
+    newest = dict(zip(history.names, history.rows(0.0, 1e12, 10).mean[-1], strict=True))
+    assert newest['Y probed'] == pytest.approx(3.1e-6)  # 0.2 with -2.9 in force
+    assert newest['Y residual'] == pytest.approx(1e-7)
+
+
 def test_bad_and_substituted_sensors_are_named_with_their_cause():
     view = running()
     poor = temperatures(1, ('t1', 't2', 't3'), (20.0, np.nan, 90.0), [0, 1, Status.DRIFT])
