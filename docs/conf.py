@@ -52,6 +52,7 @@ html_title = f'fuzzycnc {version}'
 templates_path = ['_templates']
 html_static_path = ['_static']
 html_css_files = ['site.css']
+html_search_scorer = str(Path(__file__).parent / '_static' / 'scorer.js')
 html_copy_source = False
 html_show_sourcelink = False
 html_show_sphinx = False

@@ -177,7 +177,7 @@ def learnt() -> str:
             label='probe, one an hour',
         )
         left = error + 1e6 * whole.applied[:, c]
-        axes.plot(hours, left, color=ANOTHER, linewidth=1.6, label='left with compensation')
+        axes.plot(hours, left, color=ANOTHER, linewidth=1.6, label='with compensation')
         low, high = np.nanmin(error), np.nanmax(error)
         room = high - low
         axes.set_ylim(low - 0.55 * room, high + 0.3 * room)

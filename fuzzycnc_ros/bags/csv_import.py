@@ -179,7 +179,7 @@ def import_csv(
     The stamps are the time since the first imported row plus the epoch; log times equal them.
     """
     path = Path(file)
-    table = mapping.table(path)
+    table = mapping.table(path).with_joined(mapping.time)
     sensors = _sensor_columns(table, mapping)
     table.require([mapping.time], '--time')
     table.require([channel.column for channel in mapping.channels], '--displacement')
@@ -275,7 +275,7 @@ def _doubts(
     columns = [channel.column for channel in mapping.channels]
     doubts += _lone_lines(table, sensors, lone, 1.0, 'degC')
     jumps = lone_values(recording.displacement, DISPLACEMENT_STEP)
-    doubts += _lone_lines(table, columns, jumps, 1e6, 'um')
+    doubts += _lone_lines(table, columns, jumps, 1e6, 'µm')
     if not mapping.zero:
         doubts += _offset_line(columns, recording)
     return tuple(f'{table.path}{doubt}' for doubt in doubts)

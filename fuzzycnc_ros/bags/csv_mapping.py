@@ -123,7 +123,7 @@ class CsvMapping:
     Parameters
     ----------
     time : str
-        Time column.
+        Time column, or those of date and time of day with a `+` between.
     time_unit : {'s', 'ms', 'min', 'h', 'iso8601'}
         Its unit, or `iso8601` for dates such as 2024-05-01T08:00:00Z.  Dates and times of day
         in a usual form are recognised, whatever the unit.

@@ -11,7 +11,7 @@ import itertools
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import NoReturn
@@ -150,6 +150,15 @@ class CsvTable:
                 + (f'; name it with {option}' if option else '')
             )
 
+    def with_joined(self, name: str) -> 'CsvTable':
+        """Return the table with a column `Date+Time` made of two that it has, or as it is."""
+        parts = name.split('+')
+        if name in self.header or not all(part in self.header for part in parts):
+            return self
+        cells = zip(*(self.cells(part) for part in parts), strict=True)
+        rows = [[*row, ' '.join(cell)] for row, cell in zip(self.rows, cells, strict=True)]
+        return replace(self, header=[*self.header, name], rows=rows)
+
     def column(self, name: str) -> NDArray[np.float64]:
         """Return a column as numbers, NaN where a cell is empty.
 
@@ -206,6 +215,11 @@ class CsvTable:
 
     def _hint(self, row: int, found: str) -> str:
         """Return what may help with a cell that is no number; empty if nothing is known."""
+        if is_day(found):
+            return (
+                '; it is a date without a time of day: name the column of these with --time, or '
+                'both as --time DATE+TIME'
+            )
         if self.decimal == ',' and '.' in found:
             return (
                 '; where the decimal sign is a comma, remove the points between thousands, or '
@@ -214,12 +228,10 @@ class CsvTable:
         if self.decimal == '.' and _COMMA.fullmatch(found):
             return '; with decimal commas import with --decimal ,'
         if _THOUSANDS.fullmatch(found):
-            return '; remove what stands between thousands'
+            return '; remove the signs between thousands'
         if row == 0 and self.first == 0 and _is_of_units(self.rows[0]):
             last = self.first + len(self.rows) - 1
             return f'; leave out a line of units below the header with --rows 1:{last}'
-        if is_day(found):
-            return '; it is a date without a time of day: name the column of these with --time'
         if known_forms([found]):
             return '; it looks like a time: name the time column with --time'
         if _WITH_UNIT.fullmatch(found):
@@ -325,7 +337,7 @@ class CsvTable:
         cells = self.cells(name)
         same = int((steps == 0.0).sum())
         if steps[row - 1] < 0.0 and _THOUSANDS.fullmatch(cells[row].strip()):
-            remedy = 'remove what stands between thousands'
+            remedy = 'remove the signs between thousands'
         elif steps[row - 1] < 0.0:
             end = self.first + len(self.rows) - 1
             remedy = (

@@ -75,21 +75,34 @@ def fits_terminal(table: 'Table', console: 'Console') -> bool:
 def fitting(table: 'Table', fits: 'Callable[[Table], bool]') -> 'list[Table]':
     """Return a table in parts that fit, so that no figure is cut short.
 
-    Each part repeats the first column.  Columns of one group stay together, and so do groups
-    whose names begin with the same word, such as the axes of a run, if a part can hold them.
+    Each part repeats the first columns that name a row, one where they leave too little room.
+    Columns of one group stay together, and so do groups whose names begin with the same word,
+    such as the axes of a run, if a part can hold them.
     """
-    for key in (_family, _group, id):
-        parts: list[list[int]] = []
-        for _, members in groupby(table.columns[1:], key):
-            first = parts[-1][-1] + 1 if parts else 1
-            columns = list(range(first, first + len(list(members))))
-            if parts and fits(_columns(table, [*parts[-1], *columns])):
-                parts[-1] += columns
-            else:
-                parts.append(columns)
-        if all(fits(_columns(table, part)) for part in parts):
-            break
-    return [_columns(table, part) for part in parts] or [table]
+    for named in dict.fromkeys((_naming(table), 1)):
+        for key in (_family, _group, id):
+            parts: list[list[int]] = []
+            for _, members in groupby(table.columns[named:], key):
+                first = parts[-1][-1] + 1 if parts else named
+                columns = list(range(first, first + len(list(members))))
+                if parts and fits(_columns(table, named, [*parts[-1], *columns])):
+                    parts[-1] += columns
+                else:
+                    parts.append(columns)
+            found = [_columns(table, named, part) for part in parts]
+            if all(map(fits, found)):
+                return found or [table]
+    return found or [table]
+
+
+def _naming(table: 'Table') -> int:
+    """Return how many of the first columns name a row: texts, until no two rows have the same."""
+    for count, column in enumerate(table.columns):
+        if count and column.numeric:
+            return count
+        if len({row[: count + 1] for row in table.rows}) == len(table.rows):
+            return count + 1
+    return 1
 
 
 def _group(column: 'Column') -> str:
@@ -100,9 +113,9 @@ def _family(column: 'Column') -> str:
     return column.group.partition(' ')[0]
 
 
-def _columns(table: 'Table', chosen: list[int]) -> 'Table':
-    """Return a table with its first column and some others."""
-    columns = [0, *chosen]
+def _columns(table: 'Table', named: int, chosen: list[int]) -> 'Table':
+    """Return a table with its first columns and some others."""
+    columns = [*range(named), *chosen]
     return replace(
         table,
         columns=tuple(table.columns[c] for c in columns),

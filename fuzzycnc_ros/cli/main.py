@@ -195,7 +195,7 @@ COMMANDS: Commands = {
     'security': LazyCommand(
         'For developers',
         'fuzzycnc_ros.cli.live.security',
-        'Write access rights: each node may do what it needs, and nobody else anything.',
+        'Write access rights: each node may do what it needs, and others nothing.',
     ),
 }
 """The subcommands in the order of the help, by jobs; nothing is imported for the help."""

@@ -51,6 +51,19 @@ def _spelt_out(character: str) -> str:
     return f'\\u{code:04x}' if code < 0x10000 else f'\\U{code:08x}'
 
 
+def first_names(names: Iterable[str], shown: int = 8) -> str:
+    """Return names, each once, and how many more there are.
+
+    Examples
+    --------
+    >>> first_names(['t1', 't2', 't3', 't4', 't4'], 2)
+    't1, t2 and 2 more'
+    """
+    each = list(dict.fromkeys(name for name in names if name))
+    more = f' and {len(each) - shown} more' if len(each) > shown else ''
+    return ', '.join(each[:shown]) + more
+
+
 def in_counting_order(name: str) -> list[tuple[str, int]]:
     """Return a key that sorts names as people count.
 

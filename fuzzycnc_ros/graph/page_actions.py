@@ -383,7 +383,7 @@ class Actions:
             # The page itself reads it too, which is no reason to say that somebody does.
             await self._until(
                 lambda: publisher.get_subscription_count() > 1,
-                f'{machine}: nobody takes a probe; start a recorder or the predictor',
+                f'{machine}: no node takes a probe; start a recorder or the predictor',
             )
             await asyncio.sleep(SETTLED)
             readers = publisher.get_subscription_count() - 1
@@ -395,7 +395,7 @@ class Actions:
             )
         finally:
             await self.thread.do(lambda: self._node.destroy_publisher(publisher))
-        named = ', '.join(f'{axis} {1e6 * value:+.2f} um' for axis, value in values.items())
+        named = ', '.join(f'{axis} {1e6 * value:+.2f} µm' for axis, value in values.items())
         force = 'with' if compensated else 'without'
         return f'{named} told to {readers} nodes, {force} compensation in force'
 

@@ -433,6 +433,14 @@ def test_a_time_that_is_none(complaint, row, cell, naming):
     assert naming in complaint(table(times, change=change))
 
 
+def test_date_and_time_in_columns_of_their_own_are_joined(importing, complaint):
+    split = german('Tag;Zeit;Vorn [°C];Hinten [°C];Z [µm]').replace('2026 ', '2026;')
+    assert complaint(split, **GERMAN | {'time': 'Tag'}).endswith('or both as --time DATE+TIME')
+    assert "'Tag+Ort' but the file has" in complaint(split, **GERMAN | {'time': 'Tag+Ort'})
+    report = importing(split, **GERMAN | {'time': 'Tag+Zeit'})
+    assert (report.start, report.samples) == (BEGIN.timestamp(), COUNT)
+
+
 def test_times_that_stand_still(complaint):
     def twice(rows):
         rows[50][0] = rows[49][0]
@@ -473,7 +481,7 @@ def cell(row, column, text):
             'expected a time but found none; leave out a line of units below the header with',
         ),
         (german(), {**GERMAN, 'decimal': '.'}, "found '21,000'; with decimal commas"),
-        (table(change=cell(18, 0, '1.020')), {}, 'remove what stands between thousands'),
+        (table(change=cell(18, 0, '1.020')), {}, 'remove the signs between thousands'),
         (
             table(change=cell(18, 0, '1.020')).replace('.', ',').replace('1,020', '1.020'),
             {'decimal': ','},
@@ -646,7 +654,7 @@ def test_single_values_are_named_with_line_and_column(importing):
     doubts = importing(text).doubts
     assert len(doubts) == 2
     assert "line 51, column 'a': 83 degC stands alone between 30." in doubts[0]
-    assert "line 81, column 'ch': -90 um stands alone between 2" in doubts[1]
+    assert "line 81, column 'ch': -90 µm stands alone between 2" in doubts[1]
     assert all(doubt.endswith('empty the cell') for doubt in doubts)
 
 

@@ -238,6 +238,14 @@ def routes() -> set[tuple[str, str, str, bool]]:
     }
 
 
+def test_figures_in_the_picture_of_the_readme_are_those_of_its_demo():
+    page = (ROOT / 'docs' / 'tutorials' / 'try-it.md').read_text()
+    shown = re.findall(r'^\d \(T\d\)  ([YZ]) +([\d.]+) +[\d.]+ +[\d.]+ +([\d.]+)', page, re.M)
+    picture = (ROOT / 'docs' / 'figures' / 'learnt.svg').read_text()
+    drawn = re.findall(r'([\d.]+) → ([\d.]+) µm rms', picture)
+    assert drawn == [(bare, left) for _, bare, left in sorted(shown, key=lambda row: row[0])]
+
+
 def test_picture_of_the_graph_is_the_declaration():
     text = (ROOT / 'docs' / 'explanation' / 'architecture.md').read_text()
     drawn = {

@@ -317,7 +317,7 @@ def test_a_pulled_sensor_is_named_and_a_probe_is_told(graph, observer, open_page
 
     status, says = page.act('probe', {'by': 'anna', 'values': {'Y': -3e-6}, 'deviation': 1e-6})
     assert status == 200, says
-    assert 'Y -3.00 um' in says['says']
+    assert 'Y -3.00 µm' in says['says']
     observer.until(lambda: probes, 'the probe')
     (heard,) = probes
     assert (heard.axis, heard.displacement.tolist()) == (('Y',), [-3e-6])

@@ -61,7 +61,7 @@ def test_a_model_that_is_worse_than_none_is_found_before_any_node_starts(
 ):
     write('losing.json', losing_text())
     options = ('--nodes', 'thermal_predictor', '--model', 'losing.json')
-    naming = ['mill/thermal_predictor', 'losing.json', 'Y', '26.6 um of 9.4 um', '--force-model']
+    naming = ['mill/thermal_predictor', 'losing.json', 'Y', '26.6 µm of 9.4 µm', '--force-model']
     refused_at_once(*options, naming=naming)
     outcome = fuzzycnc('up', *options, '--force-model')
     assert outcome.err.endswith('error: a node was started\n')

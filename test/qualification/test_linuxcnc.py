@@ -209,7 +209,7 @@ def test_soft_limit(rig):
     rig.controller.line('G53 G0 Z199.98')
     rig.command((0, 0, 50), reference=(0, 0, 0.19998))
     rig.until(lambda: rig.last.at_limit[2], 'the limit is told')
-    rig.until(lambda: 'a soft limit cuts Z 50.00 um to Z 20' in rig.last.reason, 'why')
+    rig.until(lambda: 'a soft limit cuts Z 50.00 µm to Z 20' in rig.last.reason, 'why')
     rig.controller.line('G53 G0 Z0')
     rig.command((0, 0, 50))
     rig.until(lambda: rig.at((0, 0, 50)) and not rig.last.at_limit.any(), 'in full')
@@ -253,7 +253,7 @@ def test_refuses_limits_beyond_those_of_the_hal_file(rig):
     rig.start(active=False, offset_max=200e-6)
     assert rig.change(CONFIGURE)
     assert not rig.change(ACTIVATE)
-    assert 'offset_max = 200 um is above the 100 um' in rig.bridge.output
+    assert 'offset_max = 200 µm is above the 100 µm' in rig.bridge.output
 
 
 def test_killed_bridge_leaves_no_offset_and_a_new_one_goes_on(rig):

@@ -90,7 +90,7 @@ def test_bag_and_second_run_are_the_same(shift, model, tmp_path):
 @pytest.mark.replay
 def test_a_job_that_is_not_done_is_an_error_that_says_why(model):
     beyond = ShiftSettings(jobs=('60:move:X:0.29',), duration=120.0)
-    with pytest.raises(WholeShiftError, match='move 1: expected X within 10 um of 290 mm'):
+    with pytest.raises(WholeShiftError, match='move 1: expected X within 10 µm of 290 mm'):
         run_whole_shift(model, beyond)
 
 

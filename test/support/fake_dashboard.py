@@ -153,7 +153,7 @@ def busy_view(machine: str = 'mill', **changes: Any) -> dict[str, Any]:
     }  # fmt: skip
     document['alarms'] = [
         alarm('error', node='compensator', name='limit',
-              cause='the offset of Z is cut at 50.0 um: 61.0 um are wanted',
+              cause='the offset of Z is cut at 50.0 µm: 61.0 µm are wanted',
               remedy='raise offset_max if the machine may be moved that far'),
         alarm('warn', node='temperature_acquisition', name='sensors',
               cause='t09 gives no reading, for 35 s', remedy='look at its plug'),

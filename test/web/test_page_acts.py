@@ -108,7 +108,7 @@ def test_a_server_that_breaks_is_told(page, fake):
 
 
 def test_a_reference_with_offsets_in_force_is_asked_twice(page, fake):
-    says = 'offsets are in force: Y -1.2 um; with force they would stand against a new zero'
+    says = 'offsets are in force: Y -1.2 µm; with force they would stand against a new zero'
     fake.answers['reference'] = [(409, {'done': False, 'says': says, 'needs': 'force'})]
     begin(page, 'reference')
     page.one('#act-by').send_keys('Ada')

@@ -246,7 +246,7 @@ def test_it_tells_when_the_next_probe_is_due_and_what_the_last_changed(page, fak
         f'Y {micro(-1.54e-6, signed=True)}.'
     )
     cycle = {'due': True, 'reason': 'wide', 'outcome': '', 'accepted': True, 'failures': 0}
-    told = {**told, 'due': True, 'reason': 'Z to 9 um', 'age': None, 'cycle': cycle}
+    told = {**told, 'due': True, 'reason': 'Z to 9 µm', 'age': None, 'cycle': cycle}
     fields = shown(page, fake, view(probing=told))['fields']
-    assert fields['probing'] == 'Probe due: Z to 9 um.'
+    assert fields['probing'] == 'Probe due: Z to 9 µm.'
     assert fields['probing cycle'] == 'Probing cycle: due, wide.'

@@ -200,7 +200,7 @@ def main():
                 print(said, flush=True)
             time.sleep(PERIOD)
     except (RuntimeError, SystemError, linuxcnc.error) as error:
-        sys.exit(f'refused: LinuxCNC does not tell its state: {error}')
+        sys.exit(f'refused: LinuxCNC does not report its state: {error}')
     finally:
         helper.close()
 

@@ -295,12 +295,12 @@ class Bridge:
             self._state.poll()
         except module.error as error:
             self._state = None
-            raise HalError(f'LinuxCNC does not tell its state: {error}') from None
+            raise HalError(f'LinuxCNC does not report its state: {error}') from None
         except SystemError:  # so its second call ends where there is no such file
             file = Path(os.environ['HOME'], TOOLS)
             raise HalError(
-                f'LinuxCNC does not tell its state: cannot read {file}; run this node as the user '
-                'that runs LinuxCNC'
+                f'LinuxCNC does not report its state: cannot read {file}; run this node as the '
+                'user that runs LinuxCNC'
             ) from None
         state = self._state
         mode = 'off'

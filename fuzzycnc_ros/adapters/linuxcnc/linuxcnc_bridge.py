@@ -117,9 +117,9 @@ class LinuxcncBridge(ControllerBridge[LinuxcncBridgeConfig, LinuxcncStatus, Cont
                 f'{status.scale.tolist()} m; set [FUZZYCNC]SCALE'
             )
         for what, own, unit, theirs in (
-            ('offset_max', self._config.offset_max, 'um', limits.counts_max),
-            ('slew_max', self._config.slew_max, 'um/s', limits.counts_rate),
-            ('slope_max', self._config.slope_max, 'um/m', limits.slope or np.inf),
+            ('offset_max', self._config.offset_max, 'µm', limits.counts_max),
+            ('slew_max', self._config.slew_max, 'µm/s', limits.counts_rate),
+            ('slope_max', self._config.slope_max, 'µm/m', limits.slope or np.inf),
         ):
             least = theirs * float(np.min(status.scale))
             if own > least:

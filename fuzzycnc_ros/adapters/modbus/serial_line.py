@@ -27,7 +27,7 @@ QUIET = 1.5
 GAP_CHARACTERS, CHARACTER_BITS, GAP_MIN = 3.5, 11, 0.00175
 """Silence between frames as the specification lays down: characters, bits each, least [s]."""
 DISTURBED = (
-    'bytes on the line that nobody asked for: another master, an answer that came too late, or '
+    'unrequested bytes on the line: another master, an answer that came too late, or '
     'noise; a line has one master, shielding and a terminator at each end'
 )
 

@@ -149,7 +149,7 @@ class MtconnectLink(Link):
         if isinstance(item, str):
             return item
         if item.identifier not in self._values:
-            return f'data item {channel.item}: the agent tells no value of it'
+            return f'data item {channel.item}: the agent has no value for it'
         return reading_of(channel, item, self._values[item.identifier])
 
     def _run(self, tell: Callable[[], None]) -> None:

@@ -149,7 +149,7 @@ class _Axis(Fields):
             missing = ', '.join(name for name in names if name not in there)
             raise wrong(
                 f'expected slope, reference_position and travel, or none of them, but {missing} '
-                'is missing; without travel nobody can tell how large an offset a slope makes'
+                'is missing; without travel the offset of a slope is not bounded'
             )
         return self
 

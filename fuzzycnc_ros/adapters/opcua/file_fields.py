@@ -181,6 +181,6 @@ def read_credentials(path: Path) -> tuple[str, str]:
         place = f'{path}: {line[0]}' if line else f'{path}'
         raise ParameterError(
             f"{place}: expected username and password, a line each, as password: 'SECRET' in "
-            'quotes; what stands there is not shown'
+            'quotes; its content is not shown'
         ) from None
     return found.username, found.password

@@ -156,7 +156,7 @@ class WriterWatch:
             # Whoever gives the hand-shake back writes no more.
             self._moved = self._moved or status.sequence != 0
             if status.sequence != 0:
-                who = status.writer or 'a writer that tells no name'
+                who = status.writer or 'an unnamed writer'
                 self._name = f'{who} (set {status.sequence})'
         if time - self._since >= self._quiet and time >= self._from:
             self._moved = False

@@ -228,7 +228,7 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
                     f'two writers: the control is written by {self._writers.other}, not by this '
                     'bridge; end all but one'
                 )
-            return 'looking whether somebody else writes to the control'
+            return 'looking for other writers to the control'
         if status.obstacle:
             return status.obstacle
         if self._late:
@@ -238,7 +238,9 @@ class LineBridge(ControllerBridge[LineConfigT, LineStatus, LineOrders], Generic[
                 'does its program run'
             )
         if not status.alive:
-            return 'the watchdog of the control hears nobody; does its program see the heartbeat'
+            return (
+                'the watchdog of the control hears no bridge; does its program see the heartbeat'
+            )
         return self.sources.refusal('compensation')
 
     def _close(self, status: LineStatus) -> Floats:

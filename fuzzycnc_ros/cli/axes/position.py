@@ -141,7 +141,7 @@ def position(
 ) -> None:
     """Move a simulated axis to a position and judge how it gets there.
 
-    The lathe axis has a motor, friction with breakaway and a grating of 0.625 um; the ballscrew
+    The lathe axis has a motor, friction with breakaway and a grating of 0.625 µm; the ballscrew
     axis is the published EMPS benchmark. Judged is the true position, not what the sensor says.
     Exit code 1 if the controller gave up.
 

@@ -27,7 +27,11 @@ def import_csv(
     file: Annotated[Path, typer.Argument(metavar='FILE', help='Table with a header line.')],
     out: Annotated[Path, typer.Option(metavar='BAG', help='Directory of the new bag.')],
     time: Annotated[
-        OptionalText, typer.Option(show_default=False, help='Time column [default: time].')
+        OptionalText,
+        typer.Option(
+            show_default=False,
+            help='Time column, or two as DATE+TIME [default: time].',
+        ),
     ] = None,
     time_unit: Annotated[
         OptionalText,

@@ -244,9 +244,9 @@ def _figures(before: Any, after: Any, patterns: Any) -> dict[str, Any]:
         'pattern': figures,
         'angle_error_cut': cut,
         'met': {
-            f'thermal error at most {1e6 * THERMAL_MAX:g} um': after.thermal_max <= THERMAL_MAX,
+            f'thermal error at most {1e6 * THERMAL_MAX:g} µm': after.thermal_max <= THERMAL_MAX,
             'contour error within its tolerance': after.contour_max <= TOLERANCE,
-            f'positions within {1e6 * POSITIONING_MAX:g} um': bool(
+            f'positions within {1e6 * POSITIONING_MAX:g} µm': bool(
                 after.positioning_max <= POSITIONING_MAX
             ),
             f'angle error of the pattern cut by {ANGLE_CUT:.0%}': cut >= ANGLE_CUT,

@@ -65,8 +65,8 @@ def thermal(out: Path, seed: int, progress: Steps) -> Outcome:
         model_file.read_text(encoding='utf-8'),
         title='Thermal compensation of two shifts',
         summary=(
-            'Two duties that no model had seen, compensated live over DDS. The residual is what '
-            'is left of the measured displacement after the prediction.'
+            'Two duties that no model had seen, compensated live over DDS. The residual is the '
+            'measured displacement minus the prediction.'
         ),
         notes=replayed.notes,
         calibration=calibration.runs,

@@ -250,7 +250,7 @@ def trained_table(found: 'Sequence[MachineResult]') -> 'Table':
         Column('bags'),
         Column('Model in use', numeric=False),
         Column('uncompensated'),
-        Column('rmse'),
+        Column('rms'),
     )
     return Table('Residual on held-out samples [µm]', columns, tuple(rows))
 
@@ -284,8 +284,8 @@ def compared_table(found: 'Sequence[MachineResult]') -> 'Table':
         Column('held out'),
         Column('uncompensated'),
         Column('Best model that a machine can run', numeric=False),
-        Column('rmse', 'best'),
-        Column('rmse', 'automatic'),
+        Column('rms', 'best'),
+        Column('rms', 'automatic'),
     )
     return Table('Residual over all held-out bags [µm]', columns, tuple(rows))
 

@@ -169,7 +169,7 @@ def drive(
     done = drive_axis(machine_file, axis, controller, params, text, out)
     say(
         f'{out}: {done.controller} in LinuxCNC; following error '
-        f'{1e6 * done.largest:.2f} um at most, {1e6 * done.rms:.2f} um rms'
+        f'{1e6 * done.largest:.2f} µm at most, {1e6 * done.rms:.2f} µm rms'
     )
 
 

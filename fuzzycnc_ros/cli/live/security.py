@@ -17,7 +17,7 @@ from fuzzycnc_ros.cli.console import say, words, write_text
 if TYPE_CHECKING:
     from fuzzycnc_ros.graph.access import Access
 
-HELP = """Write access rights: each node may do what it needs, and nobody else anything.
+HELP = """Write access rights: each node may do what it needs, and others nothing.
 
     fuzzycnc security write policies --machine mill
 

@@ -96,7 +96,7 @@ def install(
         bool, typer.Option('--dry-run', help='Print the units, and write nothing.')
     ] = False,
 ) -> None:
-    """Write the units of a machine; start nothing, unless told by --now.
+    """Write the units of a machine; start nothing without --now.
 
     A service starts in this folder, with this Python and the ROS variables of this shell. It is
     up when all its nodes have reported, and started anew when it fails or one of its nodes hangs.

@@ -223,7 +223,7 @@ class Supervisor:
     def _ended(self, process: Supervised, code: int, now: float) -> None:
         told = process.graph.last_words if code > 0 else process.graph.starved
         cause = 'was ended' if process.hung_at and not code else _cause(code)
-        cause = f'said nothing any more and {cause}' if process.hung_at else cause
+        cause = f'fell silent and {cause}' if process.hung_at else cause
         process.reason = ': '.join(filter(None, (cause, told(process.name))))
         process.ends.append(process.reason)
         if process.makes_time:

@@ -26,7 +26,7 @@ COMPLETE_WITHIN = 8.0
 """Wall time [s] in which every node reports, once a second, also on a busy host."""
 REFRESH = 0.5
 """Wall time [s] between two screens."""
-KEYS = 'Ctrl+C ends; fuzzycnc operate acts on the machine'
+KEYS = 'Ctrl-C ends; fuzzycnc operate acts on the machine'
 """Last line of the screen."""
 
 
@@ -43,7 +43,7 @@ def watch(
     """Watch a running machine in the terminal: state, offsets, sensors, probes, alarms.
 
     The screen shows what the live page shows, from the same sources, and fits into 80x24. Where
-    nothing comes any more it says so, and why. Nothing is changed at the machine.
+    nothing arrives it says so, and why. Nothing is changed at the machine.
 
         fuzzycnc watch --machine mill_1
         fuzzycnc watch --once

@@ -100,7 +100,7 @@ def doubt_lines(runs: 'Sequence[ThermalRun]') -> list[str]:
     for run in runs:
         for names, values, step, scale, unit in (
             (run.sensor, run.temperature, TEMPERATURE_STEP, 1.0, 'degC'),
-            (run.channel, run.displacement, DISPLACEMENT_STEP, 1e6, 'um'),
+            (run.channel, run.displacement, DISPLACEMENT_STEP, 1e6, 'µm'),
         ):
             found = sorted(lone_values(values, step))
             lines += [

@@ -91,8 +91,8 @@ def simulate(
     """Run a thermal shift of the simulated mill in one process, much faster than live.
 
     The mill runs some duties to train on and then, compensated, others that no model has seen.
-    The same components run as on a live graph and give the same outputs. The table shows what is
-    left of the thermal error: uncompensated, with plain baselines, with every candidate, with
+    The same components run as on a live graph and give the same outputs. The table shows the
+    remaining thermal error: uncompensated, with plain baselines, with every candidate, with
     the model in use as it predicted, and as the offsets in force on the machine left it.
 
     With --seeds, --out and --report show the first seed.
@@ -219,7 +219,7 @@ class _Shift:
 
         model = load_model(self._text)
         return [
-            f'trained on {", ".join(model.runs)}; sensors {", ".join(model.inputs)}; '
+            f'trained on duties {", ".join(model.runs)}; sensors {", ".join(model.inputs)}; '
             f'default: {default_text(model)}',
             *problem_lines(model),
         ]

@@ -69,8 +69,8 @@ def train(
         typer.Option(
             metavar='NAME,...',
             show_default=False,
-            help=f'Models to fit, judge and choose from, or {ALL}; {", ".join(STANDARD)} unless '
-            'told otherwise.',
+            help=f'Models to fit, judge and choose from, or {ALL}; {", ".join(STANDARD)} by '
+            'default.',
             autocompletion=some_of((ALL, *CANDIDATES)),
         ),
     ] = None,

@@ -114,7 +114,7 @@ def thermal(
     For each phase and probe: the range in the first hour and in the whole phase, and the time to
     90 % of the change; tilts, combined drift, and an uncertainty budget. Where the bag holds the
     applied offsets, all of it stands there with and without compensation. Phases are those that
-    `fuzzycnc operate mark` wrote, else those of the spindle speed. What nobody has told is shown
+    `fuzzycnc operate mark` wrote, else those of the spindle speed. What is not known is shown
     as not stated. The report is no statement of conformity.
 
         fuzzycnc report thermal spindle_test --out report.html --pdf report.pdf

@@ -384,12 +384,14 @@ class MachineView:
             if not isfinite(value):
                 continue
             expected = None if error is None else value_of(error.channel, error.error, channel)
-            if expected is not None and record.includes_compensation:
-                offset = None if applied is None else value_of(applied.axis, applied.offset, axis)
-                expected = expected + (offset or 0.0)
+            offset = None
+            if record.includes_compensation and applied is not None:
+                offset = value_of(applied.axis, applied.offset, axis)
             name = visible(channel)
-            row[f'{name} probed'] = value
+            # beside the predicted error, which the offset takes off
+            row[f'{name} probed'] = value - (offset or 0.0)
             if expected is not None:
+                expected = expected + (offset or 0.0)
                 row[f'{name} residual'] = value - expected
             if channel == axis or axis not in record.channel:
                 self._probes[axis] = (record.stamp, value, expected)

@@ -126,7 +126,7 @@ class ServoMoves:
                 continue
             self.failure = (
                 f'move {self._number}: expected {name} within '
-                f'{1e6 * self._tolerance:g} um of {1e3 * target:g} mm but it reads '
+                f'{1e6 * self._tolerance:g} µm of {1e3 * target:g} mm but it reads '
                 f'{1e3 * readings[name]:.4f} mm; is servo_controller active?'
             )
 

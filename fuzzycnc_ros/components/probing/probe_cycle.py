@@ -340,7 +340,7 @@ class ProbeCycle(Component[ProbeCycleConfig]):
                 return False, self._too_late(reference)
             return True, 'no cycle since the thermal reference: it is the zero of all others'
         if status is None:
-            return False, 'the predictor tells nothing'
+            return False, 'the predictor reports nothing'
         return status.due, status.reason
 
     def _tell(self, stamp: Stamp) -> Iterator[Emission]:

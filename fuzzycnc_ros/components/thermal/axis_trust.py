@@ -144,7 +144,7 @@ class AxisTrust:
             elif part == 0.0:
                 partly.append(f'{axis} after that')
             elif not self._known[number] and np.isfinite(error):
-                waiting.append(f'{axis} {1e6 * error:+.1f} ± {1e6 * half:.1f} um')
+                waiting.append(f'{axis} {1e6 * error:+.1f} ± {1e6 * half:.1f} µm')
             elif self._known[number] and part < 1.0:
                 partly.append(f'{axis} {100.0 * part:.0f} %')
         if wrong:

@@ -519,8 +519,8 @@ class Compensator(Component[CompensatorConfig]):
         if np.any(wild):
             axis, value = names[wild][0], float(values[wild][0])
             return (
-                f'thermal error of {axis}: expected at most {1e6 * self._config.error_max:g} um, '
-                f'what error_max lets a model say, but found {1e6 * value:g} um'
+                f'thermal error of {axis}: expected at most {1e6 * self._config.error_max:g} µm, '
+                f'what error_max lets a model say, but found {1e6 * value:g} µm'
             )
         return ''
 

@@ -335,7 +335,7 @@ class ProbeSource:
         if np.nanmax(np.abs(error)) > DISPLACEMENT_MAX:
             self.trouble = (
                 f'probe at {record.stamp / SECOND:.3f} s refused: expected errors within '
-                f'{1e6 * DISPLACEMENT_MAX:g} um but found {1e6 * np.nanmax(np.abs(error)):g} um; '
+                f'{1e6 * DISPLACEMENT_MAX:g} µm but found {1e6 * np.nanmax(np.abs(error)):g} µm; '
                 'are displacements in m?'
             )
             return None
@@ -375,7 +375,7 @@ class ProbeSource:
             first, second = (item.offset_at(axis, place) for item in (before[0], after[0]))
             if abs(second - first) > self._noise:
                 raise ValueError(
-                    f'compensation of {axis} moved by {1e6 * abs(second - first):.1f} um between '
+                    f'compensation of {axis} moved by {1e6 * abs(second - first):.1f} µm between '
                     'two read-backs; probe while it is at rest'
                 )
             offsets.append(first + share * (second - first))

@@ -230,7 +230,7 @@ class ProbeLearning:
         self._learnt_at = self._probed_at = stamp
         self._change, self._narrowest = self._learner.predict()[0] - before, None
         doubted = [
-            f'{name} by {1e6 * value:+.1f} um'
+            f'{name} by {1e6 * value:+.1f} µm'
             for name, value, verdict in zip(
                 self._model.channel, measured - expected - before, verdicts, strict=True
             )
@@ -406,8 +406,9 @@ class ProbeLearning:
         for number, name in enumerate(self._model.channel):
             values[f'band {name} [um]'] = f'{1e6 * half[number]:.2f}'
             values[f'probes {name} [-]'] = str(self._probes[number])
-            known.append(f'{name} to ±{1e6 * half[number]:.1f} um')
-        text = f'{int(self._probes.max())} probes; known: {", ".join(known)}'
+            if np.isfinite(half[number]):
+                known.append(f'{name} to ±{1e6 * half[number]:.1f} µm')
+        text = f'{int(self._probes.max())} probes; known: {", ".join(known) or "nothing"}'
         level = Level.WARN if self._doubt else Level.OK
         items = [Health('learning', level, self._doubt or text, values)]
         if (wrong := is_wrong(self.evidence)).any():

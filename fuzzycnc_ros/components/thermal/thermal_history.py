@@ -484,7 +484,7 @@ class ModelHistory:
 def losses_of(model: ThermalModel) -> str:
     """Return where a model left more than no compensation on held-out samples, and how much."""
     return ', '.join(
-        f'{channel} worse than without: {1e6 * left:.4g} um of {1e6 * bare:.4g} um'
+        f'{channel} worse than without: {1e6 * left:.4g} µm of {1e6 * bare:.4g} µm'
         for channel, (left, bare) in model.losing.items()
     )
 

@@ -387,7 +387,7 @@ def check_recordings(recordings: Sequence[AxisRecording]) -> None:
     count = float(steps[steps > 0.0].min()) if (steps > 0.0).any() else inf
     if not moved > 100.0 * count:
         raise ValueError(
-            f'position: expected motion of more than 100 counts but found {1e6 * moved:.3g} um; '
+            f'position: expected motion of more than 100 counts but found {1e6 * moved:.3g} µm; '
             'the axis stands, or this is another column'
         )
 
@@ -627,5 +627,5 @@ def _why_not(name: str, value: float, low: float, high: float) -> str:
     if name == 'offset':
         return ''  # 0 is as good an answer as any other
     if low <= 0.0 or high - low > value:
-        return f'these data cannot tell it; {remedy} would'
+        return f'these data do not show it; {remedy} would'
     return ''

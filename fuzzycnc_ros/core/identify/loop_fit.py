@@ -213,6 +213,6 @@ def _parameters(
         low, centre, high = (exp(min(end, 50.0)) for end in ends) if index < 2 else ends
         why = ''
         if index < 2 and high > 3.0 * max(low, 1e-12):
-            why = 'these data cannot tell it; faster bends, or sharper corners, would'
+            why = 'these data do not show it; faster bends, or sharper corners, would'
         found.append(Parameter(name, centre, low, high, why))
     return tuple(found)

@@ -85,8 +85,8 @@ def coordinates(
             kept = values[np.abs(values - np.median(values)) <= limits.spread_max]
             if len(kept) < AGREEING * len(values):
                 doubt = doubt or (
-                    f'touches differ by {1e6 * np.ptp(values):.1f} um, more than spread_max '
-                    f'{1e6 * limits.spread_max:g} um: dirt, a loose stylus, or vibration'
+                    f'touches differ by {1e6 * np.ptp(values):.1f} µm, more than spread_max '
+                    f'{1e6 * limits.spread_max:g} µm: dirt, a loose stylus, or vibration'
                 )
             side = float(np.mean(kept)) if len(kept) else np.nan
             if not abs(side - touch.surface) <= limits.window:
@@ -113,12 +113,12 @@ def _change(moved: float, grown: float, limits: CycleLimits) -> str:
     """Say why a change since the reference is not thermal; empty if it may be."""
     if abs(grown) > limits.size_max:
         return (
-            f'its two sides are {1e6 * grown:+.1f} um further apart than at the reference, more '
-            f'than size_max {1e6 * limits.size_max:g} um: a chip'
+            f'its two sides are {1e6 * grown:+.1f} µm further apart than at the reference, more '
+            f'than size_max {1e6 * limits.size_max:g} µm: a chip'
         )
     if abs(moved) > limits.drift_max:
         return (
-            f'moved by {1e6 * moved:+.1f} um since the reference, more than drift_max '
-            f'{1e6 * limits.drift_max:g} um'
+            f'moved by {1e6 * moved:+.1f} µm since the reference, more than drift_max '
+            f'{1e6 * limits.drift_max:g} µm'
         )
     return ''

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import LENGTH_MIN, NUMBER_MAX, Array
 from fuzzycnc_ros.core.document import ModelFileError, Node, parse_document
-from fuzzycnc_ros.core.names import text_hash
+from fuzzycnc_ros.core.names import first_names, text_hash
 from fuzzycnc_ros.core.thermal.band import PredictionBand
 from fuzzycnc_ros.core.thermal.candidate import (
     CANDIDATES,
@@ -311,8 +311,8 @@ class ThermalModel:
         missing = [name for name in self.inputs if name not in sensors]
         if missing:
             raise ModelMismatchError(
-                f'sensors: expected the inputs {", ".join(self.inputs)} of the model, but found '
-                f'no {", ".join(missing)}; the stream has {", ".join(sensors)}'
+                f'sensors: expected the inputs {first_names(self.inputs)} of the model, but found '
+                f'no {first_names(missing)}; the stream has {first_names(sensors)}'
             )
         if not abs(interval - self.interval) <= JITTER_MAX * self.interval:
             raise ModelMismatchError(

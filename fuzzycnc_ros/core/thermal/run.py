@@ -597,7 +597,7 @@ def _check_values(run: ThermalRun) -> None:
         raise ThermalDataError(
             f'run {run.name!r}: expected displacements within +-{DISPLACEMENT_MAX * 1e6:g} µm, '
             f'but found {run.displacement[row, column] * 1e6:.6g} µm in channel '
-            f'{run.channel[column]!r} at sample {row}; check whether mm, um and m were mixed up'
+            f'{run.channel[column]!r} at sample {row}; check whether mm, µm and m were mixed up'
         )
     if run.spindle_speed is not None:
         fastest = float(np.nanmax(np.abs(run.spindle_speed), initial=0.0))

@@ -220,7 +220,7 @@ def _drift_table(courses: Sequence[ResidualHistory]) -> Table:
             Column('bags'): lambda item: str(len(item.rms)),
             Column('days'): lambda item: f'{item.days:.0f}',
             Column('uncompensated [µm]', 'newest bags'): lambda item: _number(item.newest_bare, 1),
-            Column('rmse [µm]', 'newest bags'): lambda item: _number(item.newest_rms, 1),
+            Column('rms [µm]', 'newest bags'): lambda item: _number(item.newest_rms, 1),
             Column('trend [µm]', month): lambda item: _signed(item.trend.slope, 2),
             Column('interval [µm]', month): lambda item: _interval(item.trend, 2),
         },
@@ -239,9 +239,9 @@ def _stale_table(courses: Sequence[ResidualHistory]) -> Table:
             Column('Model', numeric=False): lambda item: item.model,
             Column('Channel', numeric=False): lambda item: item.channel,
             Column('Verdict', numeric=False): lambda item: 'stale' if item.stale else 'fits',
-            Column('held out [µm]', 'rmse'): lambda item: _number(item.held_out, 1),
-            Column('newest [µm]', 'rmse'): lambda item: _number(item.newest_rms, 1),
-            Column('ratio', 'rmse'): lambda item: _number(item.ratio, 2),
+            Column('held out [µm]', 'rms'): lambda item: _number(item.held_out, 1),
+            Column('newest [µm]', 'rms'): lambda item: _number(item.newest_rms, 1),
+            Column('ratio', 'rms'): lambda item: _number(item.ratio, 2),
             Column('newest [%]', in_domain): lambda item: _number(
                 100.0 * item.newest_in_domain, 0
             ),
@@ -335,7 +335,7 @@ def _residual_panel(item: ResidualHistory, condition: ShopCondition) -> Panel:
         colour = LIMIT if item.trend.rises else INK
         series.append(Series('trend', middle + slope * ends, colour, 2.0, x=ends))
     rules = [Rule(item.held_out, MUTED, 'promised', (4.0, 3.0))]
-    axis = Axis('rmse', 'µm', low=0.0, high=_top(item.rms[known], item.held_out))
+    axis = Axis('rms', 'µm', low=0.0, high=_top(item.rms[known], item.held_out))
     return Panel(days, axis, series, title=_title(item), rules=rules)
 
 

@@ -24,7 +24,7 @@ from fuzzycnc_ros.studies.thermal.comparison import (
     MARK,
     best_of,
     refusal_line,
-    rmse_bars,
+    rms_bars,
 )
 from fuzzycnc_ros.studies.thermal.summary import candidate_label, has_diverged, micrometres
 
@@ -313,7 +313,7 @@ def _table(result: TrialResult) -> Table:
         ),
         rows=tuple(rows),
         strong=frozenset(strong),
-        bars=rmse_bars(
+        bars=rms_bars(
             {
                 model: [scores[heading].rms for heading in headings]
                 for model, scores in result.scores.items()

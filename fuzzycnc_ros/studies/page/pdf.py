@@ -231,4 +231,5 @@ def _draw_panel(axes: Any, panel: Panel) -> dict[str, Any]:
         )
         if not series.quiet:
             handles[visible(series.name)] = line
+    axes.set_ylim(panel.y_axis.low, panel.y_axis.high)
     return handles

@@ -9,6 +9,7 @@ from pathlib import Path
 from fuzzycnc_ros.bags.csv_time import zone_of
 from fuzzycnc_ros.bags.errors import CsvError
 from fuzzycnc_ros.bags.reader import BagReader
+from fuzzycnc_ros.core.names import first_names
 
 _SHOWN = 3
 """Names that are listed; of more the first ones and how many there are."""
@@ -45,9 +46,9 @@ def recording_facts(bags: Sequence[Path]) -> dict[str, str]:
                 if topic.endswith('/temperatures')
             ]
     return {
-        'Recorded': _listed(dates) or 'in machine time, without a date',
-        'Machine': _listed(machines) or 'not named in the bag',
-        'Bag': _listed([bag.name for bag in bags]),
+        'Recorded': first_names(dates, _SHOWN) or 'in machine time, without a date',
+        'Machine': first_names(machines, _SHOWN) or 'not named in the bag',
+        'Bag': first_names([bag.name for bag in bags], _SHOWN),
     }
 
 
@@ -74,11 +75,3 @@ def recorded_date(start: int, zone: str = '') -> str:
         zone, rules = 'UTC', timezone.utc
     date = datetime.fromtimestamp(start // 10**9, rules)
     return f'{date:%Y-%m-%d %H:%M} {zone or "UTC"}'
-
-
-def _listed(names: Sequence[str]) -> str:
-    """Return names, each once, shortened where there are many."""
-    each = list(dict.fromkeys(name for name in names if name))
-    if len(each) <= _SHOWN:
-        return ', '.join(each)
-    return f'{", ".join(each[:_SHOWN])} and {len(each) - _SHOWN} more'

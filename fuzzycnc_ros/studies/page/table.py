@@ -82,7 +82,7 @@ class Table:
     highlight: frozenset[int] = frozenset()
     warning: frozenset[tuple[int, int]] = frozenset()
     bars: Mapping[tuple[int, int], tuple[float, str]] = field(default_factory=dict)
-    strong_means: str = 'best of its column, all that are equal as shown'
+    strong_means: str = 'best in its column, ties included'
     highlight_means: str = 'in use, or the automatic choice'
     warning_means: str = 'worse than no compensation'
     bars_mean: str = ''

@@ -135,7 +135,7 @@ def advice_table(figures: AdviceFigures) -> Table:
         columns += [
             Column('time [s]', name),
             Column('largest [µm]', name),
-            Column('rmse [µm]', name),
+            Column('rms [µm]', name),
         ]
     columns += [Column('at corners [µm]', 'largest'), Column('elsewhere [µm]', 'largest')]
     rows: list[tuple[str, ...]] = []
@@ -153,7 +153,7 @@ def advice_table(figures: AdviceFigures) -> Table:
     return Table(
         title, tuple(columns), tuple(rows), highlight=frozenset({figures.best}),
         warning=frozenset(warning), highlight_means='recommended',
-        warning_means='beyond the tolerance',
+        warning_means='not sure to keep the tolerance',
     )  # fmt: skip
 
 
@@ -256,7 +256,11 @@ def _chart(figures: AdviceFigures) -> Chart:
     text = [f'{row + 1}, recommended' if row == figures.best else str(row + 1) for row in order]
     series = [
         Series(
-            'beyond the tolerance', np.where(kept, np.nan, time), LIMIT, kind='dots', text=text
+            'not sure to keep the tolerance',
+            np.where(kept, np.nan, time),
+            LIMIT,
+            kind='dots',
+            text=text,
         ),
         Series('keeps the tolerance', np.where(kept, time, np.nan), AFTER, kind='dots', text=text),
     ]

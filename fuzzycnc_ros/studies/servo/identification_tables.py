@@ -44,7 +44,7 @@ def axis_fit_table(found: IdentifiedAxis, title: str) -> Table:
         rows.append(
             (
                 meaning,
-                'cannot be told' if one.why_not else f'{factor * one.value:.4g}',
+                'unknown' if one.why_not else f'{factor * one.value:.4g}',
                 f'{factor * one.low:.4g} to {factor * one.high:.4g}',
                 unit,
             )
@@ -75,7 +75,7 @@ def axis_fit_table(found: IdentifiedAxis, title: str) -> Table:
             else ('lowest resonance', 'unknown', f'above {mode.low:.3g}', 'Hz')
         )
         rows.append(('response known up to', f'{linear.known_to:.3g}', '', 'Hz'))
-    rows.append(('backlash', 'unknown', '', 'um'))
+    rows.append(('backlash', 'unknown', '', 'µm'))
     return Table(f'{title}: {found.fit.structure}', columns, tuple(rows))
 
 
@@ -122,20 +122,20 @@ def axis_fit_remarks(found: IdentifiedAxis, force: float | None) -> list[Remark]
         lines.append(
             Remark(
                 f'dead time: anything up to {1e3 * linear.delay.high:.2g} ms, which is reckoned '
-                'with; a chirp that `fuzzycnc machine excite` writes would tell it',
+                'with; a chirp that `fuzzycnc machine excite` writes would show it',
                 warning=True,
             )
         )
     lines.append(
         Remark(
-            'backlash: not told by duty and position of one sensor; measure it with a dial gauge, '
-            'both ways, and keep the accuracy that you ask for above it'
+            'backlash: duty and position of one sensor do not show it; measure it with a dial '
+            'gauge, both ways, and keep the accuracy that you ask for above it'
         )
     )
     if force is None:
         lines.append(
             Remark(
-                'mass: cannot be told without --force, the force at full duty; it is called 1 kg, '
+                'mass: unknown without --force, the force at full duty; it is called 1 kg, '
                 'and forces go with it'
             )
         )
@@ -179,9 +179,7 @@ def loop_table(loops: Mapping[str, LoopFit]) -> Table:
     for axis, loop in loops.items():
         known = {one.name: one for one in loop.parameters}
         cells = [
-            'cannot be told'
-            if known[name].why_not
-            else f'{_MEANING[name][2] * known[name].value:.4g}'
+            'unknown' if known[name].why_not else f'{_MEANING[name][2] * known[name].value:.4g}'
             for name in _LOOP
         ]
         rows.append(
@@ -201,8 +199,8 @@ def loop_remarks(loops: Mapping[str, LoopFit]) -> list[Remark]:
             if one.why_not:
                 lines.append(
                     Remark(
-                        f'{axis}: {_MEANING[one.name][0]}: {one.why_not}; the contour constant '
-                        'is told by the data all the same',
+                        f'{axis}: {_MEANING[one.name][0]}: {one.why_not}; the data show '
+                        'the contour constant all the same',
                         warning=True,
                     )
                 )

@@ -169,7 +169,7 @@ def servo_cases(period: float = 1e-3) -> dict[str, ServoCase]:
         FRICTION_CASE: step(-0.05, '-50 mm'),
         'gain x0.5': step(-0.05, '-50 mm, gain x0.5', gain_factor=0.5),
         'gain x1.5': step(-0.05, '-50 mm, gain x1.5', gain_factor=1.5),
-        '20 um': step(2e-5, '20 um'),
+        '20 um': step(2e-5, '20 µm'),
         '-50 profile': profile(-0.05, '-50 mm by profile'),
         '-170 profile': profile(-0.17, '-170 mm by profile'),
         LOADS[0]: step(-0.05, 'load of +10 % after 2 s', load=0.1, load_time=STEADY),

@@ -86,7 +86,7 @@ def shift_report(
     return ReportData(
         title=title,
         runs=runs,
-        summary=summary or f'Trained on {", ".join(model.runs)}; judged on {spans}.',
+        summary=summary or f'Trained on duties {", ".join(model.runs)}; judged on {spans}.',
         sensor_count_curve=count_curve(calibration, runs, model),
         latency=latency,
         judged=[item for run in runs for item in judged_remarks(run, model)]

@@ -41,7 +41,7 @@ COMPARED_LINE = f'{COMPARED_MARK.strip()} only compared: it cannot be saved or d
 """Meaning of that mark."""
 
 BARS_MEAN = (
-    'the rmse, beside the largest of its column; orange without compensation, blue less than '
+    'the rms, beside the largest of its column; orange without compensation, blue less than '
     'that, red more, yellow not to be trusted'
 )
 """Meaning of the bars in a table of residuals."""
@@ -87,7 +87,7 @@ def residual_table(
     out = {*refused, *COMPARED_ONLY}
     columns = [Column('Model', numeric=False)]
     for name in channel:
-        columns += [Column('rmse', name), Column('max', name)]
+        columns += [Column('rms', name), Column('max', name)]
     cells, strong = [], set()
     for name in rows:
         pairs = zip(rms[name], largest[name], strict=True)
@@ -122,12 +122,12 @@ def residual_table(
         strong=frozenset(strong),
         warning=frozenset(warning),
         highlight=frozenset(row for row, name in enumerate(rows) if name == DEFAULT),
-        bars=rmse_bars({name: rms[name] for name in rows}, refused, range(1, 2 * len(channel), 2)),
+        bars=rms_bars({name: rms[name] for name in rows}, refused, range(1, 2 * len(channel), 2)),
         bars_mean=BARS_MEAN,
     )
 
 
-def rmse_bars(
+def rms_bars(
     rms: Mapping[str, Sequence[float] | NDArray[Any]],
     refused: Collection[str],
     columns: Sequence[int],
@@ -211,7 +211,7 @@ def refused_anywhere(comparison: 'Comparison') -> dict[str, dict[str, str]]:
 def best_candidates(
     comparison: 'Comparison', without: Collection[str] = COMPARED_ONLY
 ) -> dict[str, str | None]:
-    """Return the candidate of each channel with the least rmse over all held-out samples.
+    """Return the candidate of each channel with the least rms over all held-out samples.
 
     It is the uncompensated machine where no candidate that is trusted on every run beats it; None
     where nothing was measured.
@@ -221,7 +221,7 @@ def best_candidates(
     comparison : Comparison
         What was held out.
     without : collection of str
-        Candidates that do not compete: those that no machine runs, unless told otherwise.
+        Candidates that do not compete: those that no machine runs, by default.
     """
     rms, refused = comparison.rms(), {*refused_anywhere(comparison), *without}
     best = {}

@@ -43,7 +43,7 @@ def comparison_page(comparison: 'Comparison', facts: Mapping[str, str]) -> Page:
     return Page(
         title='Thermal models, compared on what they have not seen',
         summary=f'Judged on {runs}. Each time, sensors, settings, models and the automatic '
-        f'choice came from the other samples alone{copies}. By rmse, of those that are trusted on '
+        f'choice came from the other samples alone{copies}. By rms, of those that are trusted on '
         f'every run, {best}. {shown.COMPARED_LINE[0].upper() + shown.COMPARED_LINE[1:]}.',
         sections=sections,
         facts={'Judged': _spans(comparison), **facts},
@@ -86,9 +86,9 @@ def _traces(item: 'HeldOut') -> Figure:
     labels = {name: candidate_label(name) for name in rows}
     labels[DEFAULT] = f'{labels[DEFAULT]}: {shown.choice_text(item)}'
     return Figure(
-        f'{judged.run}: error that is left over time',
-        'Measured minus predicted; without compensation that is the measured error itself. What '
-        'is left should have no slow swing: that would be heat that the model does not know.',
+        f'{judged.run}: remaining error over time',
+        'Measured minus predicted; without compensation that is the measured error itself. A '
+        'slow swing in it means heat that the model has no input for.',
         traces_chart(
             judged.time,
             judged.channel,
@@ -126,7 +126,7 @@ def traces_chart(
     panels = [
         Panel(
             x,
-            Axis('error left', 'µm'),
+            Axis('remaining error', 'µm'),
             [
                 Series(labels[name], 1e6 * residual[:, c], colours.get(name, OTHER), 1.2)
                 for name, residual in left.items()
@@ -168,8 +168,8 @@ def sensor_counts_chart(
                 Series(label, 1e6 * values[:, c], colour, dashes=dashes, kind='both')
                 for values, label, colour, dashes in (
                     (largest, 'largest residual', FAINT, (2.0, 2.0)),
-                    (worst, 'rmse, worst held-out run', OTHER, ()),
-                    (mean, 'rmse, mean over the held-out runs', AFTER, ()),
+                    (worst, 'rms, worst held-out run', OTHER, ()),
+                    (mean, 'rms, mean over the held-out runs', AFTER, ()),
                 )
             ],
             title=title,

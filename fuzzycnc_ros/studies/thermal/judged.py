@@ -97,7 +97,7 @@ def training_remark(
         )
     if not recognised:
         return Remark(
-            f'{run}: whether the model was trained on these samples cannot be told; it does not '
+            f'{run}: whether the model was trained on these samples is unknown; it does not '
             'say enough of what it was trained on',
             True,
         )
@@ -282,7 +282,7 @@ def loss_text(losing: Mapping[str, tuple[float, float]]) -> str:
     Examples
     --------
     >>> loss_text({'y': (26.6e-6, 9.4e-6)})
-    'worse than no compensation on y: 26.6 \u00b5m are left of 9.4 \u00b5m'
+    'worse than no compensation on y: 26.6 \u00b5m remain of 9.4 \u00b5m'
     """
     figures = ', '.join(_left_of(left, bare) for left, bare in losing.values())
     return f'worse than no compensation on {", ".join(losing)}: {figures}'
@@ -293,7 +293,7 @@ def _left_of(left: float, bare: float) -> str:
     if has_diverged(left):
         return f'it diverges, where there are {micrometres(bare)} \u00b5m without'
     digits = next((n for n in (1, 2, 3) if f'{1e6 * left:.{n}f}' != f'{1e6 * bare:.{n}f}'), 4)
-    return f'{1e6 * left:.{digits}f} \u00b5m are left of {1e6 * bare:.{digits}f} \u00b5m'
+    return f'{1e6 * left:.{digits}f} \u00b5m remain of {1e6 * bare:.{digits}f} \u00b5m'
 
 
 def choice_remarks(model: 'ThermalModel') -> list[Remark]:

@@ -37,7 +37,7 @@ def runs_table(judged: 'Sequence[Evaluation]') -> Table:
     columns += [Column('samples'), Column('in domain %')]
     first = len(columns)
     for name in judged[0].channel:
-        columns += [Column('uncompensated', name), Column('rmse', name), Column('max', name)]
+        columns += [Column('uncompensated', name), Column('rms', name), Column('max', name)]
     figures = np.array([_figures(item) for item in judged])
     rows = [
         (
@@ -56,10 +56,10 @@ def runs_table(judged: 'Sequence[Evaluation]') -> Table:
     for row, item in enumerate(judged):
         lost = worse_than_none(item.channel, item.rms)
         # The root mean square stands behind what there was without compensation.
-        rmse = [first + 3 * item.channel.index(name) + 1 for name in lost]
-        warning |= {(row, column) for column in (rmse and [0, *rmse])}
+        rms = [first + 3 * item.channel.index(name) + 1 for name in lost]
+        warning |= {(row, column) for column in (rms and [0, *rms])}
     return Table(
-        f'Residual thermal error of {len(judged)} runs: largest uncompensated, rmse and max with '
+        f'Residual thermal error of {len(judged)} runs: largest uncompensated, rms and max with '
         'the default model [µm]',
         tuple(columns),
         tuple(rows),
@@ -82,7 +82,7 @@ def overall_table(judged: 'Residuals', refused: Collection[str] = ()) -> Table:
     for name in judged[0].channel:
         columns += [
             Column(heading, name)
-            for heading in ('median rmse', 'worst rmse', 'median max', 'worst max')
+            for heading in ('median rms', 'worst rms', 'median max', 'worst max')
         ]
     names = _common(judged)
     rows = tuple(

@@ -331,10 +331,10 @@ def probed_section(item: ProbedEvaluation) -> Section:
         remarks=probed_lines([item]),
         figures=(
             Figure(
-                f'{item.run}: error that is left, {_every(item)}',
-                'What the model adds to probing is the distance between the line of the last '
-                'probe, held without any model, and that of the model corrected by the same '
-                'probes.',
+                f'{item.run}: remaining error, {_every(item)}',
+                'The gain of the model over probing alone is the distance between the line of '
+                'the last probe, held without a model, and that of the model corrected by the '
+                'same probes.',
                 probed_chart(item),
             ),
         ),

@@ -124,7 +124,7 @@ def _run_figures(run: CompensationRun) -> Iterator[Figure]:
         prediction_chart(run),
     )
     yield Figure(
-        f'{run.name}: error that is left',
+        f'{run.name}: remaining error',
         f'The blue line is the error {_left_by(run)}, the orange one the error without '
         f'compensation.{_band_text(run)}{_domain_text(run)}',
         residual_chart(run),
@@ -269,7 +269,7 @@ def residual_chart(run: CompensationRun) -> Chart:
             x,
             _scaled_to(_ERROR, np.concatenate([measured, residual[:, c]])),
             series,
-            title=f'{run.channel[c]}: at most {micrometres(after[c].max)} µm left of '
+            title=f'{run.channel[c]}: at most {micrometres(after[c].max)} µm of '
             f'{micrometres(before[c].max)} µm',
             bands=bands,
             rules=[Rule(0.0, MUTED)],

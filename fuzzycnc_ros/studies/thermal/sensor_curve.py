@@ -86,14 +86,14 @@ def sensor_curve_table(curves: SensorCurves) -> Table:
         for column, least in enumerate(best, start=1)
         for row in tied({row: cells[column] for row, cells in enumerate(rows)}, [int(least)])
     }
-    title = 'Held-out runs: rmse, mean and worst of them, and largest residual [µm]'
+    title = 'Held-out runs: rms, mean and worst of them, and largest residual [µm]'
     return Table(title, tuple(columns), rows, frozenset(strong))
 
 
 def clusters_line(curves: SensorCurves) -> str:
-    """Return the number of sensors with the least mean rmse over all channels, as an option."""
+    """Return the number of sensors with the least mean rms over all channels, as an option."""
     count = curves.count[int(np.argmin(curves.mean().sum(axis=1)))]
-    return f'least mean rmse: {count} sensors; fuzzycnc train --clusters {count} takes so many'
+    return f'least mean rms: {count} sensors; fuzzycnc train --clusters {count} takes so many'
 
 
 def sensor_curve_document(curves: SensorCurves) -> dict[str, Any]:

@@ -40,7 +40,7 @@ STYLE_OF = 'ISO 230-3 and ISO 10791-10'
 
 NO_CONFORMITY = (
     f'This report is in the style of {STYLE_OF}. It is no statement of conformity with them: '
-    'nobody has checked here whether instrument, positions, conditions and procedure are those '
+    'nothing here checks whether instrument, positions, conditions and procedure are those '
     'that the standards ask for.'
 )
 
@@ -131,7 +131,7 @@ def _figures(test: ThermalTest) -> Iterator[Figure]:
     if test.recording.speed is not None:
         yield Figure(
             'Spindle speed over time',
-            'As the machine told it.',
+            'As the machine reported it.',
             speed_chart(test),
         )
 
@@ -202,7 +202,8 @@ def speed_chart(test: ThermalTest) -> Chart:
         raise ValueError(f'{recording.name}: expected a spindle speed but found none')
     rpm = 60.0 * recording.speed / (2.0 * np.pi)
     series = [Series('spindle speed', rpm, MEASURED, kind='steps')]
-    axis = Axis('speed', 'rpm')
+    top = float(rpm[np.isfinite(rpm)].max(initial=0.0))
+    axis = Axis('speed', 'rpm', high=1.25 * top if top else None)  # names of phases stand above
     panel = _panel(test, recording.time / 3600.0, axis, series, '')
     return Chart(Axis('time', 'h'), [panel], height=1.8)
 

@@ -155,7 +155,9 @@ export function showOperator(panel, view) {
   field(panel, 'sensors ok', String(sensors.ok));
   field(panel, 'sensors substituted', String(sensors.substituted.length));
   field(panel, 'sensors missing', String(sensors.missing.length));
-  panel.querySelector('.count.missing').dataset.count = sensors.missing.length;
+  for (const kind of ['substituted', 'missing']) {
+    panel.querySelector(`.count.${kind}`).dataset.count = sensors[kind].length;
+  }
   const lost = [
     ...sensors.missing.map(({name, why}) => ({kind: 'missing', text: `× ${name}: ${why}`})),
     ...sensors.substituted.map(({name, by}) => (

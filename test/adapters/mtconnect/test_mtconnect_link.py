@@ -288,7 +288,7 @@ def test_an_agent_that_was_started_anew_is_read_anew(field, agent, poll):
     polled = wait(poller, reads(40.0))
     assert polled.facts['restarts'] == '1'
     # What the new run has not told is not made up from the old one.
-    assert polled.readings[2] == 'data item Srpm: the agent tells no value of it'
+    assert polled.readings[2] == 'data item Srpm: the agent has no value for it'
     # Its clock is years off; ours stamps.
     assert polled.facts['clock_ahead'].endswith(' s')
     assert abs(polled.stamp - time.monotonic_ns()) < TIMEOUT * 1e9

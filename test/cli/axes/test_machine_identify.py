@@ -59,7 +59,7 @@ def test_what_another_file_says_is_kept(fuzzycnc, tmp_path, rows):
         '--columns', 't=1,command=2,position=3', '--full', '10', '--out', 'new.yaml',
     )  # fmt: skip
     assert outcome.code == 0, outcome.err
-    assert 'cannot be told without --force' in outcome.out
+    assert 'unknown without --force' in outcome.out
     text = (tmp_path / 'new.yaml').read_text()
     assert 'machine: old' in text
     assert 'velocity: 100 mm/s' in text

@@ -215,7 +215,7 @@ def test_node_that_says_nothing_any_more_is_started_anew():
     bench.listen(1, 'compensator')
     assert bench.graph.signals[1:] == [('recorder', signal.SIGKILL)]
     assert bench.end('recorder', -9) == 0.5
-    assert 'mill/recorder said nothing any more and was killed by SIGKILL; ' in bench.said[-2]
+    assert 'mill/recorder fell silent and was killed by SIGKILL; ' in bench.said[-2]
     # Until it has spoken in its new life nothing is known of it.
     bench.listen(200, 'compensator')
     assert len(bench.graph.signals) == 2
@@ -223,7 +223,7 @@ def test_node_that_says_nothing_any_more_is_started_anew():
     bench.listen(61, 'compensator')
     assert bench.graph.signals[2:] == [('recorder', signal.SIGTERM)]
     assert bench.end('recorder', 0) == 0.5  # the last restart was long ago
-    assert 'mill/recorder said nothing any more and was ended; starts again' in bench.said[-2]
+    assert 'mill/recorder fell silent and was ended; starts again' in bench.said[-2]
 
 
 def test_who_stood_still_itself_ends_nobody():

@@ -78,7 +78,7 @@ def test_every_run_is_held_out_once_and_figures_are_those_of_the_core(fuzzycnc, 
     assert 'All held-out runs: residual thermal error' in outcome.out
     page = Path('c.html').read_text()
     assert page.count('class="chart"') == 3
-    assert page.count('Bars: the rmse') == 4  # all runs together, and each
+    assert page.count('Bars: the rms') == 4  # all runs together, and each
     assert 'Held out: b' in page
 
 
@@ -250,7 +250,7 @@ def test_grinder(fuzzycnc):
     assert 'classical_grey' in two_runs['problems']
     assert re.search(r'Classical GM\(1,N\) \* +\d', outcome.out)
     assert 'Classical GM(1,N) is not to be trusted: a = ' in outcome.out
-    assert Path('g.html').read_text().count('Bars: the rmse') == len(figures['trials'])
+    assert Path('g.html').read_text().count('Bars: the rms') == len(figures['trials'])
 
 
 def test_help_names_every_model(fuzzycnc):

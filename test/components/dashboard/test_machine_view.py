@@ -198,6 +198,15 @@ def test_a_probe_is_compared_also_before_an_offset_is_known():
     assert probed == pytest.approx(-2.8e-6)
 
 
+def test_a_probe_is_drawn_beside_the_error_without_the_offset_that_it_includes():
+    view = running()
+    view.take('displacement', probe(2.0e-7), 0.05)
+    history = view.history['error']
+    newest = dict(zip(history.names, history.rows(0.0, 1e12, 10).mean[-1], strict=True))
+    assert newest['Y probed'] == pytest.approx(3.1e-6)  # 0.2 with -2.9 in force
+    assert newest['Y residual'] == pytest.approx(1e-7)
+
+
 def test_bad_and_substituted_sensors_are_named_with_their_cause():
     view = running()
     poor = temperatures(1, ('t1', 't2', 't3'), (20.0, np.nan, 90.0), [0, 1, Status.DRIFT])
@@ -675,10 +684,10 @@ def test_probing_tells_what_the_last_changed_and_when_the_next_is_due():
     assert told['due_in'] == pytest.approx(5400.0 - (now - START) / SECOND)
     assert told['changes'] == [{'channel': 'Y', 'change': 1.5e-6}]
     assert told['cycle'] is None
-    view.take('probe_status', status(due=True, reason='Z to 9 um'), 0.0)
+    view.take('probe_status', status(due=True, reason='Z to 9 µm'), 0.0)
     view.take('probe_cycle_state', cycle_state(outcome='a chip', accepted=False), 0.0)
     told = view.document(0.0)['probing']
-    assert (told['due'], told['reason'], told['due_in']) == (True, 'Z to 9 um', None)
+    assert (told['due'], told['reason'], told['due_in']) == (True, 'Z to 9 µm', None)
     assert told['cycle']['outcome'] == 'a chip'
 
 

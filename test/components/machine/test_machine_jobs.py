@@ -164,7 +164,7 @@ def test_axes_that_do_not_arrive_do_not_hold_the_shift_up():
         jobs=('35:move:X:0.01', '65:move:X:0.0'), servo_axes=('X:lathe',), move_time=0.5
     )
     machine.run()
-    assert machine.component.failure.startswith('move 1: expected X within 10 um of 10 mm')
+    assert machine.component.failure.startswith('move 1: expected X within 10 µm of 10 mm')
     modes = {item.state for item in machine.records('machine_state')}
     assert modes <= {MachineMode.ON, MachineMode.RUNNING}
     last = machine.records('machine_state')[-1]

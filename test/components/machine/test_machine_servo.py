@@ -119,7 +119,7 @@ def test_moves_are_asked_for_one_after_the_other_and_judged():
     commands = machine.records('position_command')
     assert [item.position.tolist() for item in commands] == [[0.0], [0.01]]
     assert commands[1].stamp - commands[0].stamp == 100 * PERIOD
-    assert machine.component.failure.startswith('move 2: expected X within 10 um of 10 mm but')
+    assert machine.component.failure.startswith('move 2: expected X within 10 µm of 10 mm but')
     assert 'ERROR path: move 2' in machine.health()
     assert machine.component.ticks_done == machine.component.total_ticks == 200
     modes = [item.state for item in machine.records('machine_state')]

@@ -78,7 +78,7 @@ def test_one_touch_of_three_may_be_a_chip():
     assert rig.probes[-1].displacement[1] / MICRON == pytest.approx(10.0)
     rig.cycle({8: 60.0, 9: 30.0})
     assert np.isnan(rig.probes[-1].displacement[1])
-    assert 'touches differ by 60.0 um' in rig.state.outcome
+    assert 'touches differ by 60.0 µm' in rig.state.outcome
     assert rig.probes[-1].displacement[0] == pytest.approx(0.0)
 
 
@@ -89,13 +89,13 @@ def test_a_chip_on_one_side_shows_in_the_size():
     probe = rig.probes[-1]
     assert np.isnan(probe.displacement[0])
     assert probe.displacement[1] / MICRON == pytest.approx(5.0)
-    assert '+20.0 um further apart than at the reference' in rig.state.outcome
+    assert '+20.0 µm further apart than at the reference' in rig.state.outcome
     assert 'WARN cycle: left, Y' in rig.health()
 
 
 @pytest.mark.parametrize(
     ('wrong', 'text'),
-    [(-600.0, 'expected within 0.5 mm'), (300.0, 'moved by +300.0 um since the reference')],
+    [(-600.0, 'expected within 0.5 mm'), (300.0, 'moved by +300.0 µm since the reference')],
 )
 def test_a_probe_that_trips_early_is_not_believed(wrong, text):
     rig = zeroed()

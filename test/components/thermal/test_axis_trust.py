@@ -55,7 +55,7 @@ def told(bench, evidence, time=0.0, frame='mill/machine'):
 def test_an_axis_that_is_known_too_little_is_not_followed():
     bench = bench_of(band_share=0.5)
     assert follow(bench, 60.0, 10.0, deviation=4.0) == 0.0
-    assert 'OK band: not followed, known too little: Y +10.0 ± 8.0 um' in bench.health()
+    assert 'OK band: not followed, known too little: Y +10.0 ± 8.0 µm' in bench.health()
     assert follow(bench, 120.0, 10.0, deviation=2.0) == pytest.approx(-10.0)
     # It stays followed until the band is wider than the error.
     assert follow(bench, 180.0, 10.0, deviation=4.0) == pytest.approx(-10.0)

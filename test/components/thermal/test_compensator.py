@@ -203,11 +203,11 @@ def test_silence_is_held_then_ramped_to_zero():
         ({'valid': False, 'reason': 3, 'in_domain': False}, 'thermal error invalid: sensor lost'),
         ({'valid': False, 'reason': 200}, 'thermal error invalid: reason 200'),
         ({'in_domain': False}, 'outside what the model was trained on'),
-        ({'error': np.array([np.inf, 0.0])}, 'error_max lets a model say, but found inf um'),
-        ({'error': np.array([0.0, np.nan])}, 'error_max lets a model say, but found nan um'),
-        ({'error': np.array([1.0, 0.0])}, 'error_max lets a model say, but found 1e+06 um'),
-        ({'error': np.array([0.0, -1e308])}, 'error_max lets a model say, but found -inf um'),
-        ({'error': np.array([201e-6, 0.0])}, 'error_max lets a model say, but found 201 um'),
+        ({'error': np.array([np.inf, 0.0])}, 'error_max lets a model say, but found inf µm'),
+        ({'error': np.array([0.0, np.nan])}, 'error_max lets a model say, but found nan µm'),
+        ({'error': np.array([1.0, 0.0])}, 'error_max lets a model say, but found 1e+06 µm'),
+        ({'error': np.array([0.0, -1e308])}, 'error_max lets a model say, but found -inf µm'),
+        ({'error': np.array([201e-6, 0.0])}, 'error_max lets a model say, but found 201 µm'),
         ({'axis': ('Y', 'X')}, 'thermal error lacks axis Z'),
     ],
 )
@@ -413,6 +413,6 @@ def test_silent_machine_side_is_said_with_what_stood():
     silence = active_bench().component.silence
     name = 'compensation_applied'
     told = silence(name, applied(70.0, (0.0, -12.34 * MICRON), 1))
-    assert told.startswith('Z -12.34 um stood then, which nobody may own now')
+    assert told.startswith('Z -12.34 µm stood then, which nobody may own now')
     assert silence(name, applied(80.0, (3e-10, 0.0), 1)) == ''  # rounding of a controller
     assert silence('machine_state', machine_state(80.0)) == ''

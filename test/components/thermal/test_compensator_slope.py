@@ -90,7 +90,7 @@ def test_a_slope_that_is_too_steep_is_cut():
 def test_an_error_that_no_model_may_say_counts_at_the_ends_too():
     bench = bench_of(replace(SLOPING, error_max=100e-6))
     follow(bench, 60.0, slope=-450e-6)
-    assert 'thermal error of Y: expected at most 100 um' in bench.component.health()[0].message
+    assert 'thermal error of Y: expected at most 100 µm' in bench.component.health()[0].message
 
 
 def test_a_restart_goes_on_from_the_line_in_force():

@@ -74,7 +74,7 @@ READ_BACKS = {
     'none': ((), 'no read-back (compensation_applied) tells how much'),
     'before': (((-5.0, 0.0),), 'before and after it'),
     'rare': (((-100.0, 0.0), (0.0, 0.0)), 'read-backs are 100 s apart, more than 60 s'),
-    'moving': (((-12.0, 0.0), (0.0, 2e-6)), 'compensation of Y moved by 2.0 um'),
+    'moving': (((-12.0, 0.0), (0.0, 2e-6)), 'compensation of Y moved by 2.0 µm'),
 }
 
 

@@ -351,13 +351,13 @@ def test_model_that_is_worse_than_none_is_refused_unless_forced():
     run, bench = recordings()['T2'], bench_with_model()
     answer = bench.request('use_model', model=losing_text())
     assert not answer.success
-    for words in ('Y worse than without: 26.6 um of 9.4 um', '--model auto', 'force'):
+    for words in ('Y worse than without: 26.6 µm of 9.4 µm', '--model auto', 'force'):
         assert words in answer.message
     predict(bench, run, range(5))
     assert bench.component.model_text == model_text()
     forced = bench_with_model(losing_text(), force=True)
     assert predict(forced, run, range(5))[-1].valid
-    assert 'WARN forced: Y worse than without: 26.6 um of 9.4 um' in forced.health()
+    assert 'WARN forced: Y worse than without: 26.6 µm of 9.4 µm' in forced.health()
 
 
 def test_channel_that_stays_uncompensated_is_reported_and_predicted_as_nothing():

@@ -92,9 +92,9 @@ def test_table_of_a_run_marks_what_is_refused_and_never_calls_it_best():
         'Default': ('2.0', '4.0', '5.0', '10.0'),
     }
     assert strong(table) == {
-        'Y rmse': 'LagRidge',
+        'Y rms': 'LagRidge',
         'Y max': 'LagRidge',
-        'Z rmse': 'Static ridge',
+        'Z rms': 'Static ridge',
         'Z max': 'Static ridge',
     }
     assert table.highlight == {5}
@@ -165,7 +165,7 @@ def test_no_compensation_is_best_where_nothing_that_is_trusted_beats_it():
     assert by_channel(best_candidates(one)) == 'none'
     worse = held_out(uncompensated=um(20, 3))
     assert best_candidates(Comparison((worse,))) == {'Y': 'lag_ridge', 'Z': 'uncompensated'}
-    assert strong(held_out_table(worse))['Z rmse'] == 'Uncompensated'
+    assert strong(held_out_table(worse))['Z rms'] == 'Uncompensated'
 
 
 def test_what_is_worse_than_no_compensation_warns_in_table_sentence_and_document():
@@ -174,7 +174,7 @@ def test_what_is_worse_than_no_compensation_warns_in_table_sentence_and_document
     row = [line[0] for line in table.rows].index('Default')
     assert table.warning == {(row, 0), (row, 3), (row, 4)}
     assert '! 5.0' in table.to_text()
-    text = 'worse than no compensation on Z: 5.0 µm are left of 3.0 µm'
+    text = 'worse than no compensation on Z: 5.0 µm remain of 3.0 µm'
     assert Remark(f'T2: {text}', True) in held_out_remarks(worse)
     both = Comparison((worse, held_out('T3', uncompensated=um(20, 3))))
     assert pooled_remarks(both) == [Remark(f'All held-out runs: {text}', True)]
@@ -244,7 +244,7 @@ def test_that_a_run_is_no_test_is_said_only_where_it_is_so(
 def test_that_nothing_was_trained_on_is_not_said_where_it_is_not_known():
     remark = training_remark('T2', {}, False, ('a',))
     assert remark.warning
-    assert 'cannot be told' in remark.text
+    assert 'is unknown' in remark.text
 
 
 def test_what_was_never_measured_is_neither_best_nor_diverged():
@@ -253,7 +253,7 @@ def test_what_was_never_measured_is_neither_best_nor_diverged():
     assert best_candidates(Comparison((item,)))['Z'] is None
     assert refused_on(item) == {}
     assert cells(held_out_table(item))['LagRidge'] == ('2.0', '4.0', '-', '-')
-    assert set(strong(held_out_table(item))) == {'Y rmse', 'Y max'}
+    assert set(strong(held_out_table(item))) == {'Y rms', 'Y max'}
 
 
 def test_document():

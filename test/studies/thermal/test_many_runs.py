@@ -69,7 +69,7 @@ def test_a_run_that_the_default_made_worse_warns():
     table = runs_table(RUNS)
     # 6 um are left of 4 um in Z of the last run, in no other.
     assert table.warning == {(2, 0), (2, 9)}
-    assert table.columns[9].full_heading == 'Z rmse'
+    assert table.columns[9].full_heading == 'Z rms'
 
 
 def test_samples_of_channels_that_were_probed_apart():

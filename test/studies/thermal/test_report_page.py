@@ -81,7 +81,7 @@ def test_figures_on_the_page_are_those_of_the_scores(page):
     run = mill_run()
     largest = 1e6 * np.abs(run.measured).max(axis=0)
     for channel, value in zip(run.channel, largest, strict=True):
-        assert f'T2 {channel}, largest error left' in page
+        assert f'T2 {channel}, largest remaining error' in page
         assert f'of {value:.1f} µm' in page
         assert f'{0.1 * value:.1f} <small>µm</small>' in page
     assert 'sha256:abc' in page
