@@ -434,8 +434,8 @@ def test_few_samples_are_judged_without_the_network(fuzzycnc, tmp_path, samples)
     assert json.loads((tmp_path / 'o.json').read_text())['method'] in ('none', 'ridge')
 
 
-def test_groups_that_leave_a_network_too_few_samples_cost_no_training(fuzzycnc, tmp_path, samples):
-    x, s = samples.x[:20], samples.s[:20]
+def test_groups_that_leave_a_network_too_few_samples_cost_no_training(fuzzycnc, tmp_path):
+    x, s = (part[:20] for part in foam_samples(2))
     write_samples(tmp_path / 's.csv', x, s, [f's{number // 3}' for number in range(20)])
     outcome = fuzzycnc('soft', 'train', 's.csv', '--out', 'm.json', '--json', 'o.json')
     assert outcome.code == 0, outcome.err
@@ -453,8 +453,8 @@ def test_a_network_is_trained_on_what_outliers_leave(samples):
     assert found.judged.folds == found.judged.groups
 
 
-def test_enough_rows_in_too_few_groups_are_named(refused, tmp_path, samples):
-    x, s = samples
+def test_enough_rows_in_too_few_groups_are_named(refused, tmp_path):
+    x, s = foam_samples(2)
     write_samples(tmp_path / 's.csv', x[:30], s[:30], sheets=['a'] * 28 + ['b', 'c'])
     naming = ['30 samples in 3 groups', 'record more sheets']
     refused('soft', 'train', 's.csv', '--out', 'm.json', naming=naming)
