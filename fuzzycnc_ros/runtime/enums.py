@@ -110,6 +110,9 @@ class PrimitiveKind(IntEnum):
 
     LINE = 0
     ARC = 1
+    JUMP = 2
+    TRIM = 3
+    STOP = 4
 
 
 class MachineMode(IntEnum):

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import rosbags.rosbag2
 import zstandard
+from benches import pattern_bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -36,13 +37,16 @@ from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.typestore import deserialize, serialize
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.runtime.convert import decode
+from fuzzycnc_ros.runtime.enums import PrimitiveKind
 from fuzzycnc_ros.runtime.provenance import MESSAGE_SET
 from fuzzycnc_ros.runtime.records import (
     CompensationApplied,
     Displacement,
     MachineState,
+    StitchPattern,
     ThermalError,
 )
+from fuzzycnc_ros.studies.published_bag import PublishedBag
 
 SECOND = 10**9
 PY = 'rosbag2_py/test/resources'
@@ -550,6 +554,18 @@ def test_upgrader_brings_old_messages_to_the_current_set(small_bag, tmp_path, ne
     with BagReader(old, upgraders=upgraders) as reader, BagReader(small_bag) as current:
         found = [serialize(m.message) for m in reader.messages()]
         assert found == [m.message for m in current.messages(raw=True)]
+
+
+def test_patterns_of_before_jumps_are_stitched_throughout(tmp_path):
+    """Kinds were added to the message without a change of its layout."""
+    with PublishedBag(tmp_path / 'new') as bag:
+        bag('stitch_pattern', pattern_bench.pattern())
+    kept = re.compile(r'^uint8 KIND_(?!LINE|ARC).*\n', re.MULTILINE)
+    old = rewrite_definition(tmp_path / 'new', tmp_path, 2, lambda text: kept.sub('', text))
+    with BagReader(old) as reader:
+        assert 'KIND_JUMP' not in reader.connections['/mill/stitch_pattern'].definition
+        (found,) = [decode(StitchPattern, item.message) for item in reader.messages()]
+    assert set(found.kind.tolist()) == {PrimitiveKind.LINE}
 
 
 GOLDEN = Path(__file__).parents[2] / 'bags' / 'mill_warm_up'

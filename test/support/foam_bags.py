@@ -3,6 +3,7 @@
 """Bags of stitched tracks and samples, as a run with `deformation_compensator` records them."""
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -29,6 +30,7 @@ class Run:
         default_factory=lambda: FoamTrack.parallelogram(np.radians(45.0)).points
     )
     primitive: np.ndarray | None = None
+    kind: np.ndarray | None = None
     offset: np.ndarray | None = None
     friction: float = 0.35
     seed: int | None = None
@@ -41,9 +43,14 @@ class Run:
         offset = np.zeros_like(self.nominal) if self.offset is None else self.offset
         sides = np.searchsorted([23, 40, 63], np.arange(steps), side='right')
         primitive = sides if self.primitive is None else self.primitive
+        kind = np.zeros(steps, np.uint8) if self.kind is None else self.kind
         rng = None if self.seed is None else np.random.default_rng(self.seed)
         sheet = FoamSheet(self.thickness, self.size or (0.2, 0.12), friction=self.friction)
-        stitched = sheet.stitch(self.nominal + offset, self.depth, rng=rng)
+        fresh = [0, *np.flatnonzero(kind == PrimitiveKind.JUMP) + 1, steps + 1]
+        stitched = np.concatenate([
+            sheet.stitch((self.nominal + offset)[a:b], self.depth, rng=rng)
+            for a, b in pairwise(fresh)
+        ])  # fmt: skip
         stitched = stitched[: len(stitched) - self.cut]
         frame = {'frame_id': 'quilter/workpiece'}
         yield 'material', Material(
@@ -54,7 +61,7 @@ class Run:
             stamp=stamp, path_id=self.path_id, material=self.name, thickness=self.thickness,
             model='', nominal=self.nominal.ravel(), offset=offset.ravel(),
             primitive=primitive.astype(np.uint32),
-            kind=np.full(steps, PrimitiveKind.LINE, np.uint8), turn=np.zeros(steps),
+            kind=kind, turn=np.zeros(steps),
             depth=np.full(steps, self.depth), step=np.full(steps, self.step),
             compensation=np.zeros(2 * steps), support=np.full(steps, np.nan),
             flag=np.zeros(steps, np.uint8), **frame,

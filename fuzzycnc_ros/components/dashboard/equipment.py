@@ -78,13 +78,16 @@ def soft_document(path: CompensatedPath | None) -> dict[str, Any] | None:
     """Return what was compensated on soft material; None if nothing was."""
     if path is None:
         return None
+    # Here, as few machines stitch.
+    from fuzzycnc_ros.components.soft.compensated_paths import stitch_runs
+
     size = np.abs(path.offset[np.isfinite(path.offset)])
     return {
         'path': visible(path.path_id),
         'material': visible(path.material),
         'model': visible(path.model),
         'thickness': finite(path.thickness),
-        'stitches': len(path.offset) // 2,
+        'stitches': sum(len(run) for run in stitch_runs(path.kind)),
         'offset_max': float(size.max()) if len(size) else None,
         'flagged': int(np.count_nonzero(path.flag)),
     }

@@ -13,6 +13,7 @@ import numpy as np
 from fuzzycnc_ros.components.machine.machine_axes import Axes
 from fuzzycnc_ros.components.soft.compensated_paths import check_compensated
 from fuzzycnc_ros.runtime.component import Emission, Health, Level
+from fuzzycnc_ros.runtime.enums import PrimitiveKind
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisState,
@@ -40,7 +41,8 @@ class Stitching:
 
     A stitch is made where the tool is nearest to its point: between two periods where it goes
     by, or where it rests.  Each path is stitched once, from a fresh start on a sheet whose
-    stiffness and friction, like the noise of its stitches, are drawn anew.
+    stiffness and friction, like the noise of its stitches, are drawn anew.  Jumps and stops are
+    not stitched; after a jump or a trim the sheet is fresh again.
 
     Parameters
     ----------
@@ -169,9 +171,11 @@ class _StitchRun:
         commanded = (path.nominal + path.offset).reshape(-1, 2)
         self._points: list[Point] = [(x, y) for x, y in commanded.tolist()]
         self._depth, self._turn = path.depth.tolist(), np.sign(path.turn).astype(int).tolist()
+        self._kind = path.kind.tolist()
         self._path_id = path.path_id
         stamp, place = tool
         self._start = stamp
+        self._sheet, self._rng = sheet, rng
         self._chain = FoamStitching(sheet, place, rng)
         self._stamps, self._tools, self._stitched = [stamp], [place], [self._chain.stitched]
 
@@ -213,9 +217,14 @@ class _StitchRun:
             self.stitch(end, (to_x, to_y))
 
     def stitch(self, stamp: int, place: Point) -> None:
-        """Make the next stitch."""
+        """Make the next stitch, or pass by a point that has none."""
         index = len(self._stamps) - 1
-        self._stitched.append(self._chain.step(place, self._depth[index], self._turn[index]))
+        kind = self._kind[index]
+        if kind in (PrimitiveKind.JUMP, PrimitiveKind.TRIM):
+            self._chain = FoamStitching(self._sheet, place, self._rng)
+        elif kind != PrimitiveKind.STOP:
+            self._chain.step(place, self._depth[index], self._turn[index])
+        self._stitched.append(self._chain.stitched)
         self._stamps.append(stamp)
         self._tools.append(place)
 

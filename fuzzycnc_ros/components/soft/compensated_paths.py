@@ -2,22 +2,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compensated stitches as they travel on topics, and the tool path through them."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fuzzycnc_ros.components.soft.stitch_patterns import (
     COORDINATE_MAX,
+    STITCHED,
     STITCHES_MAX,
+    Travel,
     primitive_kind,
 )
 from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.deformation import compensation
 from fuzzycnc_ros.core.deformation.compensation import REFERENCE_LENGTH
-from fuzzycnc_ros.core.deformation.stitch_path import Primitive, SheetMaterial
-from fuzzycnc_ros.runtime.enums import Junction, SegmentKind
-from fuzzycnc_ros.runtime.records import CompensatedPath, Floats, StitchPattern, ToolPath
+from fuzzycnc_ros.core.deformation.stitch_path import Primitive, SheetMaterial, StitchPath
+from fuzzycnc_ros.runtime.enums import Junction, PrimitiveKind, SegmentKind
+from fuzzycnc_ros.runtime.records import Bytes, CompensatedPath, Floats, StitchPattern, ToolPath
 
 PLANE = ('X', 'Y')
 """Axes of a pattern."""
@@ -25,17 +28,65 @@ _PER_LENGTH = 1e-3 / REFERENCE_LENGTH
 """Factor from the model's mm per 50 mm to a pure number."""
 
 
+def stitch_runs(kind: Bytes) -> list[NDArray[np.intp]]:
+    """Return the points of each run of stitches, two at least.
+
+    A jump or a trim ends a run, and a run begins at its end point as at the first point of all.
+    A stop ends none and has no stitch.
+
+    Parameters
+    ----------
+    kind : ndarray of int, shape (n,)
+        `PrimitiveKind` of each step.
+
+    Examples
+    --------
+    Two stitches, a jump, a stitch, a stop, and another stitch:
+
+    >>> [run.tolist() for run in stitch_runs(np.array([0, 0, 2, 0, 4, 0]))]
+    [[0, 1, 2], [3, 4, 6]]
+    """
+    begins = np.append(True, np.isin(kind, (PrimitiveKind.JUMP, PrimitiveKind.TRIM)))
+    points = np.flatnonzero(np.append(True, kind != PrimitiveKind.STOP))
+    runs = np.split(points, np.flatnonzero(begins[points])[1:])
+    return [run for run in runs if len(run) > 1]
+
+
 @dataclass(frozen=True)
 class PatternPrimitives:
     """Primitives of a pattern, those with a length, and the number of each."""
 
     number: tuple[int, ...]
-    primitive: tuple[Primitive, ...]
+    primitive: tuple[Primitive | Travel, ...]
 
     @property
     def steps(self) -> tuple[int, ...]:
         """Number of steps of each."""
         return tuple(len(item.stitches()) for item in self.primitive)
+
+    @property
+    def points(self) -> Floats:
+        """All points [m], shape (n + 1, 2)."""
+        return np.concatenate(
+            [[self.primitive[0].start], *(item.stitches() for item in self.primitive)]
+        )
+
+    @property
+    def kind(self) -> Bytes:
+        """Kind of each step, shape (n,)."""
+        kinds = [primitive_kind(item) for item in self.primitive]
+        return np.repeat(kinds, self.steps).astype(np.uint8)
+
+    def runs(self) -> list[tuple[NDArray[np.intp], StitchPath]]:
+        """Return the points and the path of each run of stitches."""
+        groups: list[list[Primitive]] = [[]]
+        for item in self.primitive:
+            if isinstance(item, Primitive):
+                groups[-1].append(item)
+            elif item.kind != PrimitiveKind.STOP:
+                groups.append([])
+        paths = [StitchPath.of_primitives(group) for group in groups if group]
+        return list(zip(stitch_runs(self.kind), paths, strict=True))
 
 
 def check_compensated(path: CompensatedPath) -> None:
@@ -50,7 +101,9 @@ def check_compensated(path: CompensatedPath) -> None:
     if not 0 < steps <= STITCHES_MAX:
         raise ValueError(f'depth: expected 1 to {STITCHES_MAX} stitches but found {steps}')
     points = 2 * steps + 2
-    for name, length in (('nominal', points), ('offset', points), ('turn', steps)):
+    for name, length in (
+        ('nominal', points), ('offset', points), ('turn', steps), ('kind', steps),
+    ):  # fmt: skip
         found = len(getattr(path, name))
         if found != length:
             raise ValueError(f'{name}: expected {length} values for {steps} stitches, not {found}')
@@ -61,7 +114,10 @@ def check_compensated(path: CompensatedPath) -> None:
                 f'{name}: expected up to {COORDINATE_MAX:g} m but found '
                 f'{getattr(path, name)[bad][0]}'
             )
-    bad = ~(np.isfinite(path.depth) & (path.depth > 0.0))
+    unknown = ~np.isin(path.kind, list(PrimitiveKind))
+    if unknown.any():
+        raise ValueError(f'kind: expected 0 to 4 but found {path.kind[unknown][0]}')
+    bad = np.isin(path.kind, STITCHED) & ~(np.isfinite(path.depth) & (path.depth > 0.0))
     if bad.any():
         raise ValueError(f'depth: expected more than 0 m but found {path.depth[bad][0]}')
     if not np.isfinite(path.turn).all():
@@ -91,9 +147,9 @@ def compensated_record(
         Hash of what gave the offsets.
     """
     steps = course.steps
-    primitives = course.primitive
 
-    def per_step(values: Sequence[float]) -> Floats:
+    def per_step(name: str) -> Floats:
+        values = [getattr(item, name, 0.0) for item in course.primitive]
         return np.repeat(np.array(values, dtype=np.float64), steps)
 
     return CompensatedPath(
@@ -106,10 +162,10 @@ def compensated_record(
         nominal=path.nominal.ravel(),
         offset=path.offset.ravel(),
         primitive=np.repeat(np.array(course.number, dtype=np.uint32), steps),
-        kind=np.repeat([primitive_kind(item) for item in primitives], steps).astype(np.uint8),
-        turn=per_step([item.turn for item in primitives]),
-        depth=per_step([item.depth for item in primitives]),
-        step=per_step([item.step for item in primitives]),
+        kind=course.kind,
+        turn=per_step('turn'),
+        depth=per_step('depth'),
+        step=per_step('step'),
         compensation=(_PER_LENGTH * path.compensation).ravel(),
         support=path.support,
         flag=path.flag.astype(np.uint8),
@@ -120,6 +176,8 @@ def stitching_tool_path(
     pattern: StitchPattern, course: PatternPrimitives, commanded: Floats, corner: float
 ) -> ToolPath:
     """Return the tool path through commanded points: lines, at speed within a primitive.
+
+    The tool stops before and after a jump, a trim and a stop.
 
     Parameters
     ----------
@@ -141,11 +199,8 @@ def stitching_tool_path(
     steps = course.steps
     last = np.cumsum(steps) - 1
     junction = np.full(len(commanded) - 1, Junction.CONTINUOUS, dtype=np.uint8)
-    turns = [
-        _turn(_direction(before, at_end=True), _direction(after, at_end=False))
-        for before, after in zip(course.primitive[:-1], course.primitive[1:], strict=True)
-    ]
-    junction[last[:-1][np.array(turns) > corner]] = Junction.EXACT_STOP
+    stops = [_stops(before, after, corner) for before, after in pairwise(course.primitive)]
+    junction[last[:-1][np.array(stops, bool)]] = Junction.EXACT_STOP
     junction[-1] = Junction.EXACT_STOP
     feed = np.repeat(pattern.feedrate[list(course.number)], steps)
     moved = (np.diff(commanded, axis=0) != 0.0).any(axis=1)
@@ -182,7 +237,9 @@ def _direction(primitive: Primitive, *, at_end: bool) -> float:
     return arm + (0.5 if primitive.turn > 0.0 else -0.5) * np.pi
 
 
-def _turn(before: float, after: float) -> float:
-    """Return by how much a direction changes, 0 to pi [rad]."""
-    change = after - before
-    return abs(portable.arctan2(portable.sin(change), portable.cos(change)))
+def _stops(before: Primitive | Travel, after: Primitive | Travel, corner: float) -> bool:
+    """Return whether the tool stops between two primitives."""
+    if isinstance(before, Travel) or isinstance(after, Travel):
+        return True
+    change = _direction(after, at_end=False) - _direction(before, at_end=True)
+    return abs(portable.arctan2(portable.sin(change), portable.cos(change))) > corner

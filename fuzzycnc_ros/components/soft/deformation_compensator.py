@@ -7,18 +7,23 @@ later sets off a path that was loaded before.  What the model was not trained fo
 compensated, and said.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fuzzycnc_ros.components.soft.compensated_paths import (
     PatternPrimitives,
     compensated_record,
     stitching_tool_path,
 )
-from fuzzycnc_ros.components.soft.stitch_patterns import pattern_primitives, sheet_material
+from fuzzycnc_ros.components.soft.stitch_patterns import (
+    STITCHED,
+    pattern_primitives,
+    sheet_material,
+)
 from fuzzycnc_ros.core.config import param
 from fuzzycnc_ros.core.deformation.compensation import (
     CompensationConfig,
@@ -42,6 +47,7 @@ from fuzzycnc_ros.runtime.component import (
     Level,
     Output,
 )
+from fuzzycnc_ros.runtime.enums import PrimitiveKind
 from fuzzycnc_ros.runtime.records import Floats, Material, StitchPattern, ToolPath
 
 
@@ -218,15 +224,14 @@ class DeformationCompensator(Component[DeformationCompensatorConfig]):
         material = self._sheet(pattern)
         numbers, primitives = zip(*pattern_primitives(pattern), strict=True)
         course = PatternPrimitives(numbers, primitives)
-        path = StitchPath.of_primitives(primitives)
-        material.check(path)
-        source: OffsetSource[Any] | None = self._learnt(pattern, material, path.points)
-        learnt = source is not None
-        if source is not None:
-            found = compensated(path, material, source.content, self._config)
-        else:
-            found, source = self._with_model(path, material), self._model
-        self._report(pattern.path_id, found, learnt)
+        runs = course.runs()
+        for _, path in runs:
+            material.check(path)
+        points = np.concatenate([path.points for _, path in runs])
+        learnt = self._learnt(pattern, material, points)
+        source: OffsetSource[Any] | None = self._model if learnt is None else learnt
+        found = self._shifted(course, runs, material, learnt)
+        self._report(pattern.path_id, found, course, learnt is not None)
         if found.refused.any() and self._config.on_refused == 'stop':
             self._say(Level.ERROR, f'{self._text}; not stitched, as on_refused says')
             return
@@ -276,6 +281,30 @@ class DeformationCompensator(Component[DeformationCompensatorConfig]):
                 return source
         return None
 
+    def _shifted(
+        self,
+        course: PatternPrimitives,
+        runs: Sequence[tuple[NDArray[np.intp], StitchPath]],
+        material: SheetMaterial,
+        learnt: OffsetSource[StitchOffsets] | None,
+    ) -> OffsetPath:
+        """Return a pattern with the offsets of its runs, each compensated by itself."""
+        whole = OffsetPath.unchanged(course.points)
+        own = None if learnt is None else learnt.content.of_runs([path.points for _, path in runs])
+        for number, (at, path) in enumerate(runs):
+            if own is None:
+                found = self._with_model(path, material)
+            else:
+                found = compensated(path, material, own[number], self._config)
+            whole.offset[at] = found.offset
+            for name in ('compensation', 'support', 'flag'):
+                getattr(whole, name)[at[1:] - 1] = getattr(found, name)
+        rests = np.append(False, np.isin(course.kind, (PrimitiveKind.TRIM, PrimitiveKind.STOP)))
+        rests[np.concatenate([at for at, _ in runs])] = False
+        for point in np.flatnonzero(rests):  # the tool stays where it is
+            whole.offset[point] = whole.offset[point - 1]
+        return whole
+
     def _with_model(self, path: StitchPath, material: SheetMaterial) -> OffsetPath:
         """Return a path with the model's offsets; without a model all are 0."""
         if self._model is None or not isinstance(self._model.content, DeformationModel):
@@ -289,9 +318,11 @@ class DeformationCompensator(Component[DeformationCompensatorConfig]):
             path, material, predict, config=self._config, gate=model, support=model.support
         )
 
-    def _report(self, name: str, path: OffsetPath, learnt: bool) -> None:
+    def _report(
+        self, name: str, path: OffsetPath, course: PatternPrimitives, learnt: bool
+    ) -> None:
         """Say what became of a pattern."""
-        steps = len(path.flag)
+        steps = int(np.isin(course.kind, STITCHED).sum())
         refused = int(path.refused.sum())
         limited = int((path.flag & int(_LIMITED) != 0).sum())
         clipped = int((path.flag & int(StepFlag.CLIPPED) != 0).sum())

@@ -3,6 +3,7 @@
 """Patterns and sheets as they travel on topics: checked, and made of primitives."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import hypot, isfinite
 
 import numpy as np
@@ -18,8 +19,32 @@ COORDINATE_MAX = 1e3
 SAME_POINT = 1e-9
 """Length up to which a line is none [m]."""
 
+STITCHED = (PrimitiveKind.LINE, PrimitiveKind.ARC)
+"""Kinds of primitives that are stitched."""
+
 _PER_PRIMITIVE = ('turn', 'depth', 'step', 'feedrate')
 _POINTS = ('end', 'centre')
+
+
+@dataclass(frozen=True)
+class Travel:
+    """A jump, a trim or a stop between the primitives that are stitched.
+
+    Parameters
+    ----------
+    kind : PrimitiveKind
+        Which of them.
+    start, end : tuple of float
+        Where the tool is before and after it [m].
+    """
+
+    kind: PrimitiveKind
+    start: tuple[float, float]
+    end: tuple[float, float]
+
+    def stitches(self) -> Floats:
+        """Return the point after the start, shape (1, 2) [m]; no stitch leads to it."""
+        return np.array([self.end])
 
 
 def sheet_material(record: Material) -> SheetMaterial:
@@ -39,7 +64,7 @@ def sheet_material(record: Material) -> SheetMaterial:
     return SheetMaterial(record.thickness, (size[0], size[1]) if size else None, record.name)
 
 
-def pattern_primitives(pattern: StitchPattern) -> tuple[tuple[int, Primitive], ...]:
+def pattern_primitives(pattern: StitchPattern) -> tuple[tuple[int, Primitive | Travel], ...]:
     """Return the primitives of a pattern with their numbers; lines without a length are left out.
 
     Raises
@@ -48,11 +73,22 @@ def pattern_primitives(pattern: StitchPattern) -> tuple[tuple[int, Primitive], .
         If the pattern is malformed; the message names the field and the primitive.
     """
     check_arrays(pattern)
-    found = []
+    found: list[tuple[int, Primitive | Travel]] = []
     start = _pair(pattern.start, 0)
     for index, kind in enumerate(pattern.kind.tolist()):
         end = _pair(pattern.end, index)
-        if kind == PrimitiveKind.LINE and hypot(end[0] - start[0], end[1] - start[1]) < SAME_POINT:
+        apart = hypot(end[0] - start[0], end[1] - start[1])
+        if kind == PrimitiveKind.LINE and apart < SAME_POINT:
+            continue
+        if kind not in STITCHED:
+            if kind != PrimitiveKind.JUMP and apart >= SAME_POINT:
+                raise ValueError(
+                    f'end: expected primitive {index} where the last one ends, since it is a '
+                    f'{PrimitiveKind(kind).name.lower()}, but found it {1e3 * apart:g} mm away; '
+                    'jump there'
+                )
+            found.append((index, Travel(PrimitiveKind(kind), start, end)))
+            start = end
             continue
         try:
             primitive = Primitive(
@@ -67,9 +103,10 @@ def pattern_primitives(pattern: StitchPattern) -> tuple[tuple[int, Primitive], .
             raise ValueError(f'primitive {index}: {error}') from error
         found.append((index, primitive))
         start = end
-    if not found:
+    stitched = [item for _, item in found if isinstance(item, Primitive)]
+    if not stitched:
         raise ValueError('end: expected at least one primitive with a length but found none')
-    stitches = sum(item.length / item.step for _, item in found)
+    stitches = len(found) - len(stitched) + sum(item.length / item.step for item in stitched)
     if not stitches <= STITCHES_MAX:
         raise ValueError(
             f'step: expected up to {STITCHES_MAX} stitches but found about {stitches:.3g}; '
@@ -101,8 +138,8 @@ def check_arrays(pattern: StitchPattern) -> None:
     if unknown.any():
         index = int(unknown.argmax())
         raise ValueError(
-            f'kind: expected 0 (line) or 1 (arc) but found {pattern.kind[index]} for '
-            f'primitive {index}'
+            'kind: expected 0 (line), 1 (arc), 2 (jump), 3 (trim) or 4 (stop) but found '
+            f'{pattern.kind[index]} for primitive {index}'
         )
     arc = np.repeat(pattern.kind == PrimitiveKind.ARC, 2)
     for name, values, where in (
@@ -118,9 +155,14 @@ def check_arrays(pattern: StitchPattern) -> None:
                 f'{name}: expected coordinates up to {COORDINATE_MAX:g} m but found '
                 f'{values[at]}{place}'
             )
-    for name in ('depth', 'step', 'feedrate'):
+    stitched = np.isin(pattern.kind, STITCHED)
+    for name, needed in (
+        ('depth', stitched),
+        ('step', stitched),
+        ('feedrate', stitched | (pattern.kind == PrimitiveKind.JUMP)),
+    ):
         values = getattr(pattern, name)
-        bad = ~(np.isfinite(values) & (values > 0.0))
+        bad = needed & ~(np.isfinite(values) & (values > 0.0))
         if bad.any():
             index = int(bad.argmax())
             unit = 'm/s' if name == 'feedrate' else 'm'
@@ -174,8 +216,10 @@ def stitch_pattern(
     )
 
 
-def primitive_kind(primitive: Primitive) -> PrimitiveKind:
+def primitive_kind(primitive: Primitive | Travel) -> PrimitiveKind:
     """Return the kind of a primitive as patterns say it."""
+    if isinstance(primitive, Travel):
+        return primitive.kind
     return PrimitiveKind.LINE if primitive.centre is None else PrimitiveKind.ARC
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -153,6 +153,8 @@ _SAME_POINT = 1e-6
 RESIDUAL_MAX = 0.1
 """Largest remainder of the drift, RMS, with which a fading drift is believed [-]."""
 
+_PER_POINT = ('nominal', 'offset', 'stitched')
+_PER_STEP = ('primitive', 'kind', 'turn', 'depth', 'step')
 _STEPS_MIN = 4  # of a side that fading can be told from
 _MM = 1e-3
 
@@ -179,6 +181,8 @@ class RecordedPath:
         Feed depth and nominal stitch step [m].
     source : str
         Where it is from, for messages.
+    jump : ndarray of bool, shape (n,), optional
+        Steps without a stitch; what follows begins on a fresh sheet.
     """
 
     path_id: str
@@ -192,6 +196,28 @@ class RecordedPath:
     depth: Array
     step: Array
     source: str = ''
+    jump: NDArray[np.bool_] | None = None
+
+    @property
+    def run_points(self) -> list[slice]:
+        """Points of the runs between the jumps."""
+        jumps = [] if self.jump is None else np.flatnonzero(self.jump).tolist()
+        return [slice(a + 1, b + 1) for a, b in pairwise([-1, *jumps, len(self.nominal) - 1])]
+
+    def runs(self) -> list[RecordedPath]:
+        """Return the runs between the jumps that have a step."""
+        return [
+            replace(
+                self,
+                jump=None,
+                **{name: getattr(self, name)[points] for name in _PER_POINT},
+                **{
+                    name: getattr(self, name)[points.start : points.stop - 1] for name in _PER_STEP
+                },
+            )
+            for points in self.run_points
+            if points.stop > points.start + 1
+        ]
 
     @property
     def commanded(self) -> Array:
@@ -258,7 +284,8 @@ def samples_of_paths(paths: list[RecordedPath]) -> PathSamples:
     needed: list[Array] = []
     numbers: list[int] = []
     relaxed, left_out = 0, Counter[str]()
-    for number, path in enumerate(paths):
+    parts = [(number, part) for number, path in enumerate(paths) for part in path.runs()]
+    for number, path in parts:
         relaxation, why_not = _relaxation(path)
         cuts = path.cuts
         for index, (first, last) in enumerate(pairwise(cuts)):

@@ -148,23 +148,26 @@ def learn_track(paths: Sequence[RecordedPath], path_id: str | None, gain: float)
         _check_same(track, first, run)
     _check_copies(runs)
     stitched = np.stack([run.stitched for run in runs])
-    before = OffsetPath.unchanged(first.nominal)
-    commanded = OffsetPath(
-        first.nominal, first.offset, before.compensation, before.support, before.flag
-    )
     believed = believed_deviation(first.nominal, stitched, first.primitive)
-    after = commanded
+    offset, limited = first.offset, 0
     if believed.corrects:
-        after = learn_offsets(
-            commanded, first.nominal - believed.deviation, gain=gain, size=sheet.size
-        )
+        places = first.nominal - believed.deviation
+        parts = [
+            learn_offsets(
+                replace(OffsetPath.unchanged(first.nominal[run]), offset=first.offset[run]),
+                places[run], gain=gain, size=sheet.size,
+            )
+            for run in first.run_points
+        ]  # fmt: skip
+        offset = np.concatenate([part.offset for part in parts])
+        limited = sum(int((part.flag != 0).sum()) for part in parts)
     deviation = np.hypot(*(stitched.mean(axis=0) - first.nominal).T)
     return Learnt(
-        replace(track, offset=after.offset),
+        replace(track, offset=offset),
         len(runs),
         float(np.sqrt(np.mean(deviation**2))),
         float(deviation.max()),
-        int((after.flag != 0).sum()),
+        limited,
         believed,
         tuple(
             f'{runs[run].source}: stitch {point + 1}'

@@ -116,6 +116,8 @@ def _add(
     sheet: Material | None,
 ) -> None:
     """Add a path with its stitches."""
+    from fuzzycnc_ros.components.soft.compensated_paths import stitch_runs
+
     where = f'{bag}: {path.path_id} at {path.stamp / SECOND:.3f} s'
     steps = len(path.depth)
     for name, wanted in (
@@ -131,7 +133,15 @@ def _add(
     if len(stitches.stitched) != 2 * steps + 2:
         found.left_out['paths that were not stitched to their end'] += 1
         return
-    points = (_points(path.nominal), _points(path.offset), _points(stitches.stitched))
+    runs = stitch_runs(path.kind)
+    if not runs:
+        found.left_out['paths without a stitch'] += 1
+        return
+    at = np.concatenate(runs)
+    leading = at[1:] - 1
+    points = tuple(
+        _points(values)[at] for values in (path.nominal, path.offset, stitches.stitched)
+    )
     if not all(np.isfinite(values).all() for values in (*points, path.depth, path.step)):
         found.left_out['paths with points that are not finite'] += 1
         return
@@ -143,6 +153,9 @@ def _add(
         )
     except ValueError as error:
         raise ValueError(f'{where}: {error}') from error
+    jump = np.isin(path.kind, (PrimitiveKind.JUMP, PrimitiveKind.TRIM))[leading]
+    primitive = path.primitive[leading].astype(np.int64)
+    primitive[jump] = primitive[np.flatnonzero(jump) + 1]  # a side begins where it leads to
     found.paths.append(
         RecordedPath(
             path_id=path.path_id,
@@ -150,12 +163,13 @@ def _add(
             nominal=points[0],
             offset=points[1],
             stitched=points[2],
-            primitive=path.primitive.astype(np.int64),
-            kind=np.where(path.kind == PrimitiveKind.ARC, float(ARC), float(LINE)),
-            turn=path.turn,
-            depth=path.depth,
-            step=path.step,
+            primitive=primitive,
+            kind=np.where(path.kind == PrimitiveKind.ARC, float(ARC), float(LINE))[leading],
+            turn=path.turn[leading],
+            depth=path.depth[leading],
+            step=path.step[leading],
             source=where,
+            jump=jump,
         )
     )
 
@@ -227,6 +241,7 @@ def recorded_run(
         depth=np.zeros(steps),
         step=np.zeros(steps),
         source=source,
+        jump=None if jump is None else jump[1:],
     )
 
 

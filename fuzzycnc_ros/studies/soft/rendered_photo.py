@@ -41,6 +41,8 @@ class Camera:
         Standard deviation of the noise [shades of 256].
     shadow : float
         Share of the light that a shadow takes.
+    exposure : float
+        Share of the light that a good photograph takes.
     """
 
     pixel: float = 0.1e-3
@@ -50,6 +52,7 @@ class Camera:
     blur: float = 0.8
     noise: float = 4.0
     shadow: float = 0.35
+    exposure: float = 1.0
 
 
 def rendered_photo(
@@ -97,7 +100,7 @@ def rendered_photo(
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_REPLICATE,
     ).astype(np.float32)
-    light = 1.0 + 0.15 * (across / columns - 0.5) - 0.1 * (down / rows - 0.5)
+    light = camera.exposure * (1.0 + 0.15 * (across / columns - 0.5) - 0.1 * (down / rows - 0.5))
     edge = np.tanh(8.0 * (across / columns - rng.uniform(0.4, 0.7) + 0.3 * (down / rows - 0.5)))
     light = light * (1.0 - camera.shadow * 0.5 * (1.0 + edge))
     photo = cv2.GaussianBlur(photo * light.astype(np.float32), (0, 0), max(camera.blur, 1e-3))

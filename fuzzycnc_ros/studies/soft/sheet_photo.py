@@ -46,6 +46,7 @@ _COURSES, _RIVALS = 100, 4
 _STEADY = 9.0  # largest cost of a bend
 _START = 1.5e-3  # how far the first stitch of a run is off, before the sheet is dragged [m]
 _LIGHTER, _DARKER, _LIKE_THREAD = 0, 1, 150
+_GRAINS = 25.0  # light beside which the noise of a photograph is small, as a multiple of it [-]
 _GLARE = 2.5e-3  # what is wider is no thread [m]
 
 
@@ -309,12 +310,15 @@ def _flat_thread(
     flat = cv2.remap(image, places, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     width = 2 * round(0.5 * _GLARE / grid) + 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
+    # In a dark photograph, noise is as large a share of the light as a thread is.
+    grain = float(np.median(cv2.absdiff(flat, cv2.medianBlur(flat, 3))))
     found = []
     for dark in (True, False):
         kind = cv2.MORPH_CLOSE if dark else cv2.MORPH_OPEN
         around = cv2.blur(cv2.morphologyEx(flat, kind, kernel), (width, width))
         around = np.maximum(around.astype(np.float32), 1.0)
-        part = np.maximum((around - flat) / around * (1.0 if dark else -1.0), 0.0)
+        light = np.hypot(around, _GRAINS * grain)
+        part = np.maximum((around - flat) / light * (1.0 if dark else -1.0), 0.0)
         for mark in marks:
             left, right = (mark.middle[0] + side * mark.size for side in (-0.7, 0.7))
             low, high = (size[1] - mark.middle[1] + side * mark.size for side in (-0.7, 0.7))

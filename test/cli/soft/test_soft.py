@@ -12,6 +12,7 @@ from foam_bags import Run, sample_run, write_bag
 from fuzzycnc_ros.cli.soft.command import COMMANDS
 from fuzzycnc_ros.core.deformation.model import read_model
 from fuzzycnc_ros.core.deformation.offset_file import read_offsets
+from fuzzycnc_ros.runtime.enums import PrimitiveKind
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
@@ -180,6 +181,22 @@ def test_learn_straightens_a_track_in_three_cycles(fuzzycnc, tmp_path):
     document = json.loads((tmp_path / 'o.json').read_text())
     assert document['runs'] == 1
     assert document['max_deviation'] < 1e-3
+
+
+def test_learn_takes_the_stitches_of_a_bag_and_no_jumps(fuzzycnc, tmp_path):
+    """A track, a jump to its start, and the track again with a stop at its end."""
+    once = Run().nominal
+    nominal = np.concatenate([once, once, once[-1:]])
+    kind = np.zeros(len(nominal) - 1, np.uint8)
+    kind[[len(once) - 1, -1]] = PrimitiveKind.JUMP, PrimitiveKind.STOP
+    sides = np.cumsum(kind != 0)
+    write_bag(tmp_path / 'bag', Run(nominal=nominal, primitive=sides, kind=kind))
+    fuzzycnc('soft', 'learn', tmp_path / 'bag', '--out', tmp_path / 'offsets.json')
+    learnt = read_offsets((tmp_path / 'offsets.json').read_text())
+    np.testing.assert_allclose(learnt.nominal, nominal[:-1], atol=1e-12)
+    half = len(once)
+    np.testing.assert_allclose(learnt.offset[half:], learnt.offset[:half], atol=1e-4)
+    assert np.abs(learnt.offset[half + 1 : half + 20]).max() > 1e-3
 
 
 def test_learn_takes_the_mean_of_the_runs_of_a_cycle(fuzzycnc, tmp_path):
@@ -418,8 +435,8 @@ def test_few_samples_are_judged_without_the_network(fuzzycnc, tmp_path, samples)
     assert json.loads((tmp_path / 'o.json').read_text())['method'] in ('none', 'ridge')
 
 
-def test_groups_that_leave_a_network_too_few_samples_cost_no_training(fuzzycnc, tmp_path, samples):
-    x, s = samples.x[:20], samples.s[:20]
+def test_groups_that_leave_a_network_too_few_samples_cost_no_training(fuzzycnc, tmp_path):
+    x, s = (part[:20] for part in foam_samples(2))
     write_samples(tmp_path / 's.csv', x, s, [f's{number // 3}' for number in range(20)])
     outcome = fuzzycnc('soft', 'train', 's.csv', '--out', 'm.json', '--json', 'o.json')
     assert outcome.code == 0, outcome.err
@@ -448,8 +465,8 @@ def test_a_model_whose_large_errors_are_larger_is_not_chosen():
         assert _chosen(SimpleNamespace(errors=errors), s, groups, 2) == best
 
 
-def test_enough_rows_in_too_few_groups_are_named(refused, tmp_path, samples):
-    x, s = samples
+def test_enough_rows_in_too_few_groups_are_named(refused, tmp_path):
+    x, s = foam_samples(2)
     write_samples(tmp_path / 's.csv', x[:30], s[:30], sheets=['a'] * 28 + ['b', 'c'])
     naming = ['30 samples in 3 groups', 'record more sheets']
     refused('soft', 'train', 's.csv', '--out', 'm.json', naming=naming)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The sheet in the simulated machine: stitches where the tool comes by, programme, faults."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -18,7 +19,7 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
 from fuzzycnc_ros.components.machine.stitching import Stitching
 from fuzzycnc_ros.core.deformation.stitch_path import ARC, StitchPath
 from fuzzycnc_ros.runtime.component import Emission
-from fuzzycnc_ros.runtime.enums import MachineMode
+from fuzzycnc_ros.runtime.enums import MachineMode, PrimitiveKind
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisState,
@@ -149,6 +150,23 @@ def test_a_point_given_twice_is_stitched_twice():
     np.testing.assert_allclose(axes.path.tool.reshape(-1, 2), doubled, atol=1e-9)
     expected = SHEET.stitch(doubled, 6e-3)
     np.testing.assert_allclose(axes.path.stitched.reshape(-1, 2), expected, atol=1e-8)
+
+
+def test_jumps_trims_and_stops_are_not_stitched():
+    first, second = L_SHAPE, np.add(L_SHAPE[:4], (0.02, 0.03))
+    points = np.concatenate([first[:3], first[2:], first[-1:], second])
+    path = compensated(points)
+    kind = path.kind.copy()
+    kind[[2, 6, 7]] = PrimitiveKind.STOP, PrimitiveKind.TRIM, PrimitiveKind.JUMP
+    axes = Axes()
+    axes.stitching.load(replace(path, kind=kind, depth=np.where(kind > 1, 0.0, path.depth)))
+    axes.along([*CORNERS, second[0], second[3]])
+    np.testing.assert_allclose(axes.path.tool.reshape(-1, 2), points, atol=1e-9)
+    stitched = axes.path.stitched.reshape(-1, 2)
+    rows = [0, 1, 2, 4, 5, 6]
+    np.testing.assert_allclose(stitched[rows], SHEET.stitch(first, 6e-3), atol=1e-8)
+    np.testing.assert_allclose(stitched[8:], SHEET.stitch(second, 6e-3), atol=1e-8)
+    assert np.abs(SHEET.stitch(points[5:], 6e-3)[3:] - stitched[8:]).max() > 1e-4
 
 
 def test_left_turns_twist_the_drag():

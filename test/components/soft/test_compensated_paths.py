@@ -37,6 +37,7 @@ PATH = CompensatedPath(
     [
         ({'offset': np.zeros(4)}, 'offset: expected 12 values for 5 stitches, not 4'),
         ({'turn': np.zeros(4)}, 'turn: expected 5 values'),
+        ({'kind': np.full(5, 9, np.uint8)}, 'kind: expected 0 to 4 but found 9'),
         ({'turn': np.full(5, np.nan)}, 'turn: expected finite'),
         ({'depth': np.zeros(0)}, 'depth: expected 1 to 200000 stitches but found 0'),
         ({'depth': np.full(5, -6e-3)}, 'depth: expected more than 0 m but found -0.006'),

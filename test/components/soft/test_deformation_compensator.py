@@ -16,6 +16,7 @@ from benches.pattern_bench import (
     model_text,
     pattern,
     points,
+    with_travel,
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -106,6 +107,60 @@ def test_arcs_lines_and_corners():
     assert stops.tolist() == [26, 36]
     _, sharper = Compensator(corner_angle=0.08).stitch(pattern([line, arc, bend, back]))
     assert np.flatnonzero(sharper.junction).tolist() == [19, 26, 36]
+
+
+LINES = [
+    Primitive((0.03, 0.03), (0.06, 0.045), 6e-3, 3e-3),
+    Primitive((0.06, 0.045), (0.09, 0.06), 6e-3, 3e-3),
+    Primitive((0.05, 0.06), (0.08, 0.075), 6e-3, 3e-3),
+]
+TRAVEL = {0: (PrimitiveKind.STOP,), 1: (PrimitiveKind.TRIM,), 2: (PrimitiveKind.TRIM,)}
+
+
+def test_only_stitches_are_compensated_each_run_by_itself(model):
+    """A jump of 40 mm is neither compensated nor does it add to the offset behind it."""
+    path, tool = Compensator(model).stitch(with_travel(LINES, TRAVEL))
+    trained, sheet = read_model(model), SheetMaterial(15e-3, (0.15, 0.1))
+    first, last = (
+        compensate_path(
+            StitchPath.of_primitives(run), sheet, trained.predict, gate=trained,
+            support=trained.support,
+        )
+        for run in (LINES[:2], LINES[2:])
+    )  # fmt: skip
+    sides = [11, 11, 11]
+    assert path.kind.tolist() == [*sides[0] * [0], 4, *sides[1] * [0], 3, 2, *sides[2] * [0], 3]
+    offset = points(path.offset)
+    stop, trim, landing = 12, 24, 25
+    np.testing.assert_array_equal(offset[:stop], first.offset[:stop])
+    np.testing.assert_array_equal(offset[stop + 1 : trim], first.offset[stop:])
+    np.testing.assert_array_equal(offset[landing:-1], last.offset)
+    assert np.abs(first.offset[-1]).max() > 1e-3
+    # what does not move stays where the tool is, and a jump leads to where stitches begin
+    np.testing.assert_array_equal(offset[[stop, trim, -1]], offset[[stop - 1, trim - 1, -2]])
+    assert not offset[landing].any()
+    travel = path.kind > PrimitiveKind.ARC
+    assert not path.depth[travel].any()
+    assert np.isnan(path.support[travel]).all()
+    assert not path.flag.any()
+    moving = ~np.isin(path.kind, (PrimitiveKind.TRIM, PrimitiveKind.STOP))
+    commanded = points(path.nominal + path.offset)[1:]
+    np.testing.assert_array_equal(points(tool.data), commanded[moving])
+    assert np.flatnonzero(tool.junction).tolist() == [10, 21, 22, 33]
+    assert tool.feedrate[22] == 0.05
+
+
+def test_learnt_offsets_are_of_the_stitches_alone():
+    made = with_travel(LINES, TRAVEL)
+    runs = [StitchPath.of_primitives(run).points for run in (LINES[:2], LINES[2:])]
+    nominal = np.concatenate(runs)
+    shift = 1e-4 * np.sin(np.arange(nominal.size)).reshape(-1, 2)
+    learnt = write_offsets(StitchOffsets('track', 'foam', nominal, shift))
+    path, _ = Compensator(offsets=learnt).stitch(made)
+    kept = np.append(True, path.kind != PrimitiveKind.STOP)
+    kept[[24, -1]] = False  # trims behind which nothing is stitched
+    np.testing.assert_allclose(points(path.offset)[kept], shift, atol=1e-12)
+    assert path.model == text_hash(learnt)
 
 
 def test_refused_steps_get_no_offset_a_flag_and_a_warning(model):

@@ -24,6 +24,14 @@ BAD_PATTERNS = {
     'short array': ({'depth': np.full(3, 6e-3)}, 'depth: expected 4 values but found 3'),
     'start in space': ({'start': np.zeros(3)}, 'start: expected 2 values but found 3'),
     'kind': ({'kind': np.array([0, 0, 7, 0], np.uint8)}, r'kind: .* found 7 for primitive 2'),
+    'trim that moves': (
+        {'kind': np.array([0, 3, 0, 0], np.uint8)},
+        'end: expected primitive 1 where the last one ends, since it is a trim, but found it 50',
+    ),
+    'jumps alone': (
+        {'kind': np.full(4, 2, np.uint8)},
+        'end: expected at least one primitive with a length but found none',
+    ),
     'NaN point': (
         {'end': np.array([0.09, 0.03, np.nan, 0.0, 0.0, 0.0, 0.0, 0.0])},
         'end: expected coordinates .* found nan for primitive 1',

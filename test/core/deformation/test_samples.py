@@ -57,6 +57,27 @@ def track(angle=45.0, offset=None, rng=None):
     return recorded(parallelogram.points, sides, LINE, 0.0, offset=offset, rng=rng)
 
 
+def test_each_run_between_jumps_is_on_a_fresh_sheet():
+    one, other = line(np.radians(10.0)), line(np.radians(50.0))
+
+    def both(name, between=()):
+        return np.concatenate([getattr(one, name), *between, getattr(other, name)])
+
+    names = ('kind', 'turn', 'depth', 'step')
+    steps = len(one.kind)
+    joined = replace(
+        one,
+        **{name: both(name) for name in ('nominal', 'offset', 'stitched')},
+        **{name: both(name, ([getattr(other, name)[0]],)) for name in names},
+        primitive=np.repeat([0, 1], [steps, steps + 1]),
+        jump=np.arange(2 * steps + 1) == steps,
+    )
+    apart, found = samples_of_paths([one, other]), samples_of_paths([joined])
+    np.testing.assert_array_equal(found.x, apart.x)
+    np.testing.assert_array_equal(found.s, apart.s)
+    assert (found.path.tolist(), found.relaxed, found.left_out) == ([0, 0], 0, {})
+
+
 @pytest.mark.parametrize('angle', [0.0, 30.0, 60.0, 180.0, 215.0])
 @pytest.mark.parametrize('step', [2e-3, 3e-3, 4e-3, 5e-3])
 def test_single_primitives_give_the_samples_of_the_sheet(angle, step):

@@ -17,6 +17,7 @@ from fuzzycnc_ros.components.soft.stitch_patterns import stitch_pattern
 from fuzzycnc_ros.core.deformation.model import write_model
 from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 from fuzzycnc_ros.core.deformation.stitch_path import Primitive
+from fuzzycnc_ros.runtime.enums import PrimitiveKind
 from fuzzycnc_ros.runtime.records import Material, nanoseconds
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 from fuzzycnc_ros.simulation.soft.foam_tracks import FoamTrack
@@ -45,6 +46,35 @@ def pattern(primitives=SIDES, time=2.0, path_id='track', **changes):
         primitives, path_id=path_id, feed=0.021, stamp=nanoseconds(time), frame_id=FRAME
     )
     return replace(made, **changes)
+
+
+def with_travel(lines, travels):
+    """Return a pattern of lines, with kinds of travel behind some of them.
+
+    Parameters
+    ----------
+    lines : sequence of Primitive
+        Lines; where one does not begin at the end of the last, the tool jumps there.
+    travels : mapping of int to tuple of PrimitiveKind
+        Trims and stops behind lines by their number.
+    """
+    rows = []
+    for number, line in enumerate(lines):
+        if rows and line.start != rows[-1][1]:
+            rows.append((PrimitiveKind.JUMP, line.start))
+        rows.append((PrimitiveKind.LINE, line.end))
+        rows += [(kind, line.end) for kind in travels.get(number, ())]
+    stitched = np.array([kind == PrimitiveKind.LINE for kind, _ in rows])
+    return pattern(
+        lines,
+        kind=np.array([kind for kind, _ in rows], np.uint8),
+        end=np.array([end for _, end in rows]).ravel(),
+        centre=np.full(2 * len(rows), np.nan),
+        turn=np.zeros(len(rows)),
+        depth=np.where(stitched, 6e-3, 0.0),
+        step=np.where(stitched, 3e-3, 0.0),
+        feedrate=np.where(stitched, 0.021, 0.05),
+    )
 
 
 class Compensator(Bench):

@@ -20,7 +20,7 @@ from fuzzycnc_ros.components.machine.simulated_machine import (
 )
 from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
 from fuzzycnc_ros.core.inputs.trajectory_input import TrajectoryPart
-from fuzzycnc_ros.runtime.enums import CompensationState
+from fuzzycnc_ros.runtime.enums import CompensationState, PrimitiveKind
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     AxisCommand,
@@ -167,6 +167,8 @@ class StitchingTarget(MachineTarget):
     def row(stamp: int, begin: np.ndarray, path_id: str = 'row') -> CompensatedPath:
         """Return stitches of 3 mm along the line of `trajectory_bench`."""
         steps = 10
+        kind = np.zeros(steps, np.uint8)
+        kind[5] = PrimitiveKind.JUMP
         points = begin + np.outer(3e-3 * np.arange(steps + 1), (0.6, -0.8))
         return CompensatedPath(
             stamp=stamp,
@@ -178,7 +180,7 @@ class StitchingTarget(MachineTarget):
             nominal=points.ravel(),
             offset=np.zeros(points.size),
             primitive=np.zeros(steps, np.uint32),
-            kind=np.zeros(steps, np.uint8),
+            kind=kind,
             turn=np.zeros(steps),
             depth=np.full(steps, 6e-3),
             step=np.full(steps, 3e-3),
