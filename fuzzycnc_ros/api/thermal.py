@@ -19,7 +19,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -94,13 +93,11 @@ def read_run(path: str | os.PathLike[str], **options: Any) -> ThermalRun:
     source = Path(path)
     if source.suffix.lower() != '.csv':
         return read_bag(source, **options)
-    from fuzzycnc_ros.bags.csv_import import import_csv
+    from fuzzycnc_ros.bags.csv_import import read_csv
     from fuzzycnc_ros.bags.csv_mapping import CsvMapping
 
-    with TemporaryDirectory() as folder, options_as(_argument):
-        bag = Path(folder) / 'run'
-        import_csv(source, bag, CsvMapping(**options))
-        return read_bag(bag, name=source.stem)
+    with options_as(_argument):
+        return read_csv(source, CsvMapping(**options)).run()
 
 
 def save_model(model: ThermalModel, path: str | os.PathLike[str]) -> None:

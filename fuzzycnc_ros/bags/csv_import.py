@@ -1,10 +1,10 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Importing a CSV recording of a real machine into a bag."""
+"""CSV recordings of real machines, read as records and imported into bags."""
 
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import nan
 from pathlib import Path
@@ -23,8 +23,10 @@ from fuzzycnc_ros.bags.csv_table import CsvTable, Times
 from fuzzycnc_ros.bags.csv_time import ISO8601, known_forms
 from fuzzycnc_ros.bags.errors import CsvError
 from fuzzycnc_ros.bags.metadata import LATCHED, STREAM
+from fuzzycnc_ros.bags.runs import thermal_run
 from fuzzycnc_ros.bags.typestore import ROSBAGS
 from fuzzycnc_ros.bags.writer import BagWriter
+from fuzzycnc_ros.components.thermal.predictor_stream import STATE
 from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.core.thermal.no_reading import FAR, values_without_reading
 from fuzzycnc_ros.core.thermal.plausibility import (
@@ -43,6 +45,7 @@ from fuzzycnc_ros.core.thermal.run import (
     SAMPLES_MIN,
     TEMPERATURE_MAX,
     TEMPERATURE_MIN,
+    ThermalRun,
     temperature_range,
 )
 from fuzzycnc_ros.core.thermal.sensor_limits import SensorLimits
@@ -144,6 +147,130 @@ class _ColumnData:
     readings: int = 0
 
 
+@dataclass(frozen=True)
+class CsvRecording:
+    """A CSV recording in SI units, as the records that a machine would have published.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    mapping : CsvMapping
+        Meaning of its columns.
+    data : _ColumnData
+        Its columns.
+    stamps : ndarray, shape (n,)
+        Stamps of the samples [ns].
+    start : float
+        Stamp of the first sample [s].
+    sensors, channels : tuple of str
+        Names of temperatures and displacements.
+    facts : mapping
+        Metadata of a bag that holds it.
+    remarks, doubts : tuple of str
+        See `ImportReport`.
+    """
+
+    path: Path
+    mapping: CsvMapping
+    data: _ColumnData
+    stamps: NDArray[np.int64]
+    start: float
+    sensors: tuple[str, ...]
+    channels: tuple[str, ...]
+    facts: Mapping[str, str]
+    remarks: tuple[str, ...]
+    doubts: tuple[str, ...]
+
+    @property
+    def types(self) -> dict[str, str]:
+        """Topic below the machine's name -> its type."""
+        found: dict[str, str] = {'temperatures': Temperatures.TYPE}
+        if self.channels:
+            found['displacement'] = Displacement.TYPE
+        if self._has_states:
+            found['machine_state'] = MachineState.TYPE
+        return found | {'thermal_reference': ThermalReference.TYPE}
+
+    @property
+    def _has_states(self) -> bool:
+        return self.mapping.spindle_speed is not None or bool(self.mapping.drives)
+
+    def run(self) -> ThermalRun:
+        """Return it as a thermal run, the one that `read_run` finds in a bag of it.
+
+        Raises
+        ------
+        CsvError
+            If no displacements are mapped.
+        RunError
+            If it holds no thermal run; see `read_run`.
+        """
+        if not self.channels:
+            raise CsvError(
+                f'{self.path}: expected at least one column of displacements but none is mapped; '
+                'name them with --displacement'
+            )
+        topics = ('temperatures', 'displacement', {STATE: STATE})
+        return thermal_run(self.path, topics, self.records())
+
+    def records(self) -> Iterator[tuple[str, Record]]:
+        """Yield topic and record in the order of the stamps."""
+        machine, mapping, data = self.mapping.machine, self.mapping, self.data
+        cold_since = int(self.stamps[0])
+        first_rows = reference_rows(data.time)
+        position = np.array(
+            [np.nan if item.position is None else item.position for item in mapping.channels]
+        )
+        told = _told(mapping, data)
+        for k, stamp in enumerate(self.stamps.tolist()):
+            temperature = data.temperature[k]
+            if self._has_states:
+                speed = float(data.speed[k, 0]) if mapping.spindle_speed is not None else nan
+                state = _machine_state(machine, stamp, cold_since, speed)
+                yield 'machine_state', replace(state, **{n: v[k] for n, v in told.items()})
+            yield (
+                'temperatures',
+                Temperatures(
+                    stamp=stamp,
+                    frame_id=f'{machine}/machine',
+                    sensor=self.sensors,
+                    temperature=temperature,
+                    status=np.where(np.isnan(temperature), Status.MISSING, Status.OK),
+                    readings=min(data.readings, 2**16 - 1),
+                ),
+            )
+            if self.channels:
+                yield (
+                    'displacement',
+                    Displacement(
+                        stamp=stamp,
+                        frame_id=f'{machine}/workpiece',
+                        axis=tuple(channel.axis for channel in mapping.channels),
+                        channel=self.channels,
+                        displacement=data.displacement[k],
+                        # How well they were measured no CSV file says.
+                        standard_deviation=np.full(len(self.channels), np.nan),
+                        includes_compensation=False,
+                        position=position,
+                    ),
+                )
+            if k == first_rows - 1:
+                yield (
+                    'thermal_reference',
+                    ThermalReference(
+                        stamp=stamp,
+                        frame_id=f'{machine}/machine',
+                        cold_since=cold_since,
+                        set_by='recording',
+                        sensor=self.sensors,
+                        # NaN for a sensor that lacks one of the first samples.
+                        temperature=data.temperature[:first_rows].mean(axis=0),
+                        samples=min(first_rows, 2**16 - 1),
+                    ),
+                )
+
+
 def import_csv(
     file: str | os.PathLike[str], out: str | os.PathLike[str], mapping: CsvMapping
 ) -> ImportReport:
@@ -177,6 +304,46 @@ def import_csv(
     of the first three samples, readings faster than one a minute counting as samples of one
     minute (as `ThermalRun.rise` takes it), stamped with the last of them.
     The stamps are the time since the first imported row plus the epoch; log times equal them.
+    """
+    read = read_csv(file, mapping)
+    with BagWriter(Path(out), flush_interval=None, custom=read.facts) as writer:
+        for topic, type_name in read.types.items():
+            latched = topic == 'thermal_reference'
+            writer.add_topic(
+                f'/{mapping.machine}/{topic}', type_name, LATCHED if latched else STREAM
+            )
+        for topic, record in read.records():
+            writer.write_message(
+                f'/{mapping.machine}/{topic}', encode(record, ROSBAGS), record.stamp
+            )
+    time = read.data.time
+    return ImportReport(
+        path=Path(out),
+        samples=len(time),
+        interval=float((time[-1] - time[0]) / (len(time) - 1)),
+        start=read.start,
+        sensors=read.sensors,
+        channels=read.channels,
+        missing=int(np.isnan(read.data.temperature).sum()),
+        remarks=read.remarks,
+        doubts=read.doubts,
+    )
+
+
+def read_csv(file: str | os.PathLike[str], mapping: CsvMapping) -> CsvRecording:
+    """Read a CSV recording.
+
+    Parameters
+    ----------
+    file : path
+        The recording: a header line, then one row per sample.
+    mapping : CsvMapping
+        Meaning of the columns.
+
+    Raises
+    ------
+    CsvError
+        If the file cannot be used; the message names line and column.
     """
     path = Path(file)
     table = mapping.table(path).with_joined(mapping.time)
@@ -214,15 +381,15 @@ def import_csv(
     facts = {'imported_by': 'import-csv'}
     if times.zone is not None:
         facts['time_zone'] = times.zone.name
-    _write(Path(out), mapping, recording, stamps, names, channels, facts)
-    return ImportReport(
-        path=Path(out),
-        samples=len(stamps),
-        interval=float((recording.time[-1] - recording.time[0]) / (len(stamps) - 1)),
+    return CsvRecording(
+        path=path,
+        mapping=mapping,
+        data=recording,
+        stamps=stamps,
         start=start,
         sensors=tuple(names),
         channels=tuple(channels),
-        missing=int(np.isnan(recording.temperature).sum()),
+        facts=facts,
         remarks=_remarks(table, mapping, times) + unread,
         doubts=doubts,
     )
@@ -622,82 +789,6 @@ def _emptied_line(
         f'{path}: {empty} of {len(samples.time)} samples are without a reading, as readings come '
         f'every {longer:.4g} s; import with --resample {longer:.4g}',
     )
-
-
-def _write(
-    out: Path,
-    mapping: CsvMapping,
-    recording: _ColumnData,
-    stamps: NDArray[np.int64],
-    sensors: list[str],
-    channels: list[str],
-    facts: Mapping[str, str],
-) -> None:
-    machine = mapping.machine
-    cold_since = int(stamps[0])
-    first_rows = reference_rows(recording.time)
-    position = np.array(
-        [np.nan if item.position is None else item.position for item in mapping.channels]
-    )
-    with BagWriter(out, flush_interval=None, custom=facts) as writer:
-
-        def write(topic: str, record: Record) -> None:
-            writer.write_message(f'/{machine}/{topic}', encode(record, ROSBAGS), record.stamp)
-
-        writer.add_topic(f'/{machine}/temperatures', Temperatures.TYPE, STREAM)
-        if channels:
-            writer.add_topic(f'/{machine}/displacement', Displacement.TYPE, STREAM)
-        states = mapping.spindle_speed is not None or mapping.drives
-        told = _told(mapping, recording)
-        if states:
-            writer.add_topic(f'/{machine}/machine_state', MachineState.TYPE, STREAM)
-        writer.add_topic(f'/{machine}/thermal_reference', ThermalReference.TYPE, LATCHED)
-        for k, stamp in enumerate(stamps.tolist()):
-            temperature = recording.temperature[k]
-            if states:
-                speed = float(recording.speed[k, 0]) if mapping.spindle_speed is not None else nan
-                state = _machine_state(machine, stamp, cold_since, speed)
-                write('machine_state', replace(state, **{n: v[k] for n, v in told.items()}))
-            write(
-                'temperatures',
-                Temperatures(
-                    stamp=stamp,
-                    frame_id=f'{machine}/machine',
-                    sensor=tuple(sensors),
-                    temperature=temperature,
-                    status=np.where(np.isnan(temperature), Status.MISSING, Status.OK),
-                    readings=min(recording.readings, 2**16 - 1),
-                ),
-            )
-            if channels:
-                write(
-                    'displacement',
-                    Displacement(
-                        stamp=stamp,
-                        frame_id=f'{machine}/workpiece',
-                        axis=tuple(channel.axis for channel in mapping.channels),
-                        channel=tuple(channels),
-                        displacement=recording.displacement[k],
-                        # How well they were measured no CSV file says.
-                        standard_deviation=np.full(len(channels), np.nan),
-                        includes_compensation=False,
-                        position=position,
-                    ),
-                )
-            if k == first_rows - 1:
-                write(
-                    'thermal_reference',
-                    ThermalReference(
-                        stamp=stamp,
-                        frame_id=f'{machine}/machine',
-                        cold_since=cold_since,
-                        set_by='recording',
-                        sensor=tuple(sensors),
-                        # NaN for a sensor that lacks one of the first samples.
-                        temperature=recording.temperature[:first_rows].mean(axis=0),
-                        samples=min(first_rows, 2**16 - 1),
-                    ),
-                )
 
 
 def _told(mapping: CsvMapping, recording: _ColumnData) -> dict[str, Any]:

@@ -1,9 +1,9 @@
 # Copyright The fuzzycnc authors
 # SPDX-License-Identifier: Apache-2.0
-"""Reading a thermal run out of a bag."""
+"""Reading a thermal run out of a bag, or out of records."""
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import compress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +20,7 @@ from fuzzycnc_ros.core.thermal.places import along_axes, place_channels
 from fuzzycnc_ros.core.thermal.run import ThermalDataError, ThermalRun, counted
 from fuzzycnc_ros.core.thermal.sensor_limits import SensorLimits
 from fuzzycnc_ros.runtime.convert import stamp_of
+from fuzzycnc_ros.runtime.records import Record
 
 TEMPERATURES_TYPE = 'fuzzycnc_msgs/msg/Temperatures'
 DISPLACEMENT_TYPE = 'fuzzycnc_msgs/msg/Displacement'
@@ -120,26 +121,76 @@ def read_run(
             reader, displacement, DISPLACEMENT_TYPE, machine if namespace is None else namespace
         )
         sources = speed_topics(reader, machine if namespace is None else namespace)
-        temperature = SampleCollector(source, topic, ('sensor',), 'sensor')
-        moving = Displacements(source, other)
-        told: list[tuple[str, int, float]] = []
-        driven: list[tuple[int, dict[str, float], dict[str, float]]] = []
-        for kind, _, _, message in reader.messages([topic, other, *sources]):  # one pass
-            if kind in sources:
-                teller = sources[kind]
-                told.append((teller, _stamp(message), speed_told(teller, message)))
-                if teller == STATE and (drives := drives_told(message)) is not None:
-                    driven.append((_stamp(message), *drives))
-            elif kind == topic:
-                temperature.add(message, message.temperature, message.status == _STATUS_OK)
-            else:
-                if message.includes_compensation and not compensated:
-                    raise RunError(
-                        f'{source}: {other}: expected the error of the bare machine but at stamp '
-                        f'{_seconds(_stamp(message))} s compensation was active; use a run '
-                        'without it'
-                    )
-                moving.take(message)
+        wanted = [topic, other, *sources]
+        return thermal_run(
+            source,
+            (topic, other, sources),
+            ((item.topic, item.message) for item in reader.messages(wanted)),  # one pass
+            start=start,
+            stop=stop,
+            name=name,
+            average=average,
+            compensated=compensated,
+            sensors=sensors,
+            sensor_limits=sensor_limits,
+            places=places,
+        )
+
+
+def thermal_run(
+    source: Path,
+    topics: tuple[str, str, Mapping[str, str]],
+    messages: Iterable[tuple[str, Any]],
+    *,
+    start: float | None = None,
+    stop: float | None = None,
+    name: str | None = None,
+    average: bool = False,
+    compensated: bool = False,
+    sensors: Callable[[str], bool] | None = None,
+    sensor_limits: Iterable[str] = (),
+    places: bool = False,
+) -> ThermalRun:
+    """Gather a thermal run from messages, or from records.
+
+    Parameters
+    ----------
+    source : Path
+        Their file, for refusals and for the run's name.
+    topics : tuple
+        Topic of the temperatures, that of the displacements, and those that tell the spindle
+        speed, each with the name of its source.
+    messages : iterable of (topic, message or record)
+        In the order of their stamps.
+    start, stop, name, average, compensated, sensors, sensor_limits, places
+        See `read_run`.
+
+    Raises
+    ------
+    RunError
+        See `read_run`.
+    """
+    topic, other, sources = topics
+    temperature = SampleCollector(source, topic, ('sensor',), 'sensor')
+    moving = Displacements(source, other)
+    told: list[tuple[str, int, float]] = []
+    driven: list[tuple[int, dict[str, float], dict[str, float]]] = []
+    for kind, message in messages:
+        if kind in sources:
+            teller = sources[kind]
+            told.append((teller, _stamp(message), speed_told(teller, message)))
+            if teller == STATE and (drives := drives_told(message)) is not None:
+                driven.append((_stamp(message), *drives))
+        elif kind == topic:
+            temperature.add(message, message.temperature, message.status == _STATUS_OK)
+        elif kind == other:
+            if message.includes_compensation and not compensated:
+                raise RunError(
+                    f'{source}: {other}: expected the error of the bare machine but at stamp '
+                    f'{_seconds(_stamp(message))} s compensation was active; use a run '
+                    'without it'
+                )
+            moving.take(message)
     measured, moved = temperature.series(), moving.series()
     time = (measured.stamp - measured.stamp[0]) / 1e9
     joined = _join(measured.stamp, moved, average)
@@ -461,7 +512,7 @@ def _join(stamp: NDArray[np.int64], moved: TopicSeries, average: bool) -> NDArra
 
 
 def _stamp(message: Any) -> int:
-    return stamp_of(message.header.stamp)
+    return message.stamp if isinstance(message, Record) else stamp_of(message.header.stamp)
 
 
 def _seconds(stamp: int) -> str:

@@ -2,12 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Importing CSV recordings: refusals first, then what arrives in the bag."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from fuzzycnc_ros.bags.csv_import import import_csv
+from fuzzycnc_ros.bags.csv_import import import_csv, read_csv
 from fuzzycnc_ros.bags.csv_mapping import CsvMapping, parse_channel
-from fuzzycnc_ros.bags.errors import BagExistsError, CsvError
+from fuzzycnc_ros.bags.errors import BagExistsError, CsvError, RunError
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.runs import read_run
 
@@ -37,9 +39,34 @@ def importing(tmp_path):
         file = tmp_path / 'recording.csv'
         text = cells if isinstance(cells, str) else '\n'.join(delimiter.join(r) for r in cells)
         file.write_bytes(text.encode(encoding))
-        return import_csv(file, tmp_path / 'bag', mapping)
+        report = import_csv(file, tmp_path / 'bag', mapping)
+        if report.channels:
+            assert_same_run(read_csv(file, mapping), report.path)
+        return report
 
     return run
+
+
+def assert_same_run(recording, bag):
+    """Hold the run of a CSV file to the one that a bag of it gives, or to its refusal."""
+    try:
+        expected = read_run(bag)
+    except RunError:
+        with pytest.raises(RunError):
+            recording.run()
+        return
+    found = recording.run()
+    for field in dataclasses.fields(found):
+        if field.name != 'name':
+            np.testing.assert_equal(getattr(found, field.name), getattr(expected, field.name))
+
+
+def test_a_run_needs_displacements(tmp_path):
+    file = tmp_path / 'recording.csv'
+    file.write_text('\n'.join(','.join(row[:3]) for row in rows()))
+    mapping = CsvMapping(time='t', temperatures=['a', 'b'])
+    with pytest.raises(CsvError, match=r'column of displacements but none is mapped'):
+        read_csv(file, mapping).run()
 
 
 def edited(place, text, count=20):
