@@ -37,7 +37,7 @@ def main() -> int:
     known = Posterior(basis)
     for hour, row in enumerate(features):
         known.update(row, 3600.0 * hour, 1e-5 * float(random.normal()), 0.5e-6)
-    learner = Learner(basis, 1)
+    learner = Learner(basis, ['Z'])
     rise = features[0, :SENSORS]
     step = best(lambda: learner.step(rise, 100.0, 60.0))
     predict = best(lambda: known.predict(features[0], 1e6))

@@ -41,7 +41,7 @@ def machine(number: int, spread: float) -> dict[str, ThermalRun]:
 def learn(runs: dict[str, ThermalRun]) -> LearningPrior:
     """Return what hourly probes of some runs teach."""
     first = runs[LEARNT[0]]
-    learner = Learner(Basis(len(first.sensor), True, first.interval), len(first.channel))
+    learner = Learner(Basis(len(first.sensor), True, first.interval), first.channel)
     for name in LEARNT:
         run = runs[name]
         if name != LEARNT[0]:

@@ -127,6 +127,10 @@ class RegimeBasis(Basis):
         """Number of features."""
         return 2 * self.plain.features
 
+    def seen_by(self, channel: str) -> np.ndarray:
+        """Return 1 for all features: none is of a screw."""
+        return np.ones(self.features)
+
     def initial_state(self) -> np.ndarray:
         """Return the state at the thermal reference: lags, then what is slow."""
         return np.append(self.plain.initial_state(), np.zeros(len(LAGS)))
@@ -171,14 +175,14 @@ class RegimePosterior(Posterior):
 
 
 def regime_learner(
-    membership: Membership, share: float | None, basis: Basis, channels: int
+    membership: Membership, share: float | None, basis: Basis, channel: Sequence[str]
 ) -> Learner:
     """Return a learner with regimes."""
-    learner = Learner(basis, channels)
+    learner = Learner(basis, channel)
     learner.basis = RegimeBasis(
         basis.sensors, basis.speed, basis.interval, basis.lags, membership=membership
     )
-    learner.posteriors = tuple(RegimePosterior(learner.basis, share) for _ in range(channels))
+    learner.posteriors = tuple(RegimePosterior(learner.basis, share) for _ in channel)
     learner.rest()
     return learner
 

@@ -89,7 +89,7 @@ def followed(
     assert model.prior is not None
     share = np.array(model.prior.share)
     speeds = run.spindle_speed if speed_known(run) else np.zeros(len(run.time))
-    learner, blind = model.prior.learner(), model.prior.learner()
+    learner, blind = (model.prior.learner(model.channel) for _ in range(2))
     channels = len(model.channel)
     kalman, offset = [Kalman() for _ in range(channels)], np.zeros(channels)
     shape = run.displacement.shape

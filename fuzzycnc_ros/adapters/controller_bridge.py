@@ -37,6 +37,7 @@ from fuzzycnc_ros.runtime.component import (
 )
 from fuzzycnc_ros.runtime.enums import Coolant, MachineMode
 from fuzzycnc_ros.runtime.records import (
+    MOTION_FIELDS,
     Bools,
     Compensation,
     CompensationApplied,
@@ -155,10 +156,8 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         self._apart_since: int | None = None
         self._told: dict[str, tuple[int, tuple[Any, ...]]] = {}
         self._orders: OrdersT | None = None
-        self._travel = np.zeros(len(self._axes))
-        """Distance that each axis has moved, shape (axes,) [m]."""
-        self._square_speed = np.zeros(len(self._axes))
-        """Integral of its squared speed, shape (axes,) [m2/s]."""
+        self._moved = np.zeros((len(MOTION_FIELDS), len(self._axes)))
+        """Motion of each axis so far, in the order of `MOTION_FIELDS`."""
         self._seen_at: tuple[int, Floats] | None = None
         """Time and position of the cycle before, to know the way since."""
         self._probe: tuple[float, float] | None = None
@@ -472,14 +471,14 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
             coolant = Coolant.UNKNOWN
             if status.coolant is not None:
                 coolant = Coolant.ON if status.coolant else Coolant.OFF
+            moved: dict[str, Any] = dict(zip(MOTION_FIELDS, self._moved.copy(), strict=True))
             state = replace(
                 self._state(
                     status.mode, status.homed, status.position, status.spindle_speed, allowed
                 ),
                 coolant=int(coolant),
                 spindle_load=status.spindle_load,
-                travel=self._travel.copy(),
-                square_speed=self._square_speed.copy(),
+                **moved,
             )
             yield Emission('machine_state', state)
         limited = self._limited(status)
@@ -501,8 +500,9 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
         if before is None or self._time <= before[0]:
             return
         step, elapsed = position - before[1], 1e-9 * (self._time - before[0])
-        self._travel = self._travel + np.abs(step)
-        self._square_speed = self._square_speed + step * step / elapsed
+        way, middle = np.abs(step), 0.5 * (position + before[1])
+        moments = way * middle, way * (middle * middle + step * step / 12.0)
+        self._moved = self._moved + np.stack([way, step * step / elapsed, *moments])
 
     def _touched(self, status: StatusT) -> Iterator[Emission]:
         """Yield what a probing cycle tells, once; what stands at first is of an older one.

@@ -26,6 +26,7 @@ from fuzzycnc_ros.bags.metadata import LATCHED, STREAM
 from fuzzycnc_ros.bags.runs import thermal_run
 from fuzzycnc_ros.bags.typestore import ROSBAGS
 from fuzzycnc_ros.bags.writer import BagWriter
+from fuzzycnc_ros.components.thermal.control_drives import COUNTERS
 from fuzzycnc_ros.components.thermal.predictor_stream import STATE
 from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.core.thermal.no_reading import FAR, values_without_reading
@@ -804,7 +805,7 @@ def _told(mapping: CsvMapping, recording: _ColumnData) -> dict[str, Any]:
     rows = len(recording.time)
     found: dict[str, Any] = {'axis': [tuple(axes)] * rows}
     found['position'] = np.full((rows, len(axes)), np.nan)
-    for field, name in (('travel', 'axis_speed'), ('square_speed', 'axis_square_speed')):
+    for field, name in COUNTERS.items():
         means = [columns.get(f'{name}/{axis}', np.full(rows, np.nan)) for axis in axes]
         growth = np.stack(means, axis=1) * steps[:, np.newaxis] if axes else np.zeros((rows, 0))
         found[field] = np.where(np.isnan(growth), np.nan, np.nancumsum(growth, axis=0))

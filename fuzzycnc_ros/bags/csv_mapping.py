@@ -144,8 +144,9 @@ class CsvMapping:
     spindle_speed_unit : {'rpm', 'rad/s'}
         Its unit.
     drives : mapping
-        What else the control told, to its column: `axis_speed/X` [m/s], `axis_square_speed/X`
-        [m2/s2], `spindle_load` [-] and `coolant` [0 or 1], each the mean since the row before.
+        Drives that the control told, to their columns: `axis_speed/X` [m/s],
+        `axis_square_speed/X` [m2/s2], `axis_moment/X` [m2/s], `axis_second_moment/X` [m3/s],
+        `spindle_load` [-] and `coolant` [0 or 1], each the mean since the row before.
     sensor_limits : sequence of str
         Limits of sensors that are not those of a machine's metal, such as `bed:range_high:250`;
         the names are those of the columns.

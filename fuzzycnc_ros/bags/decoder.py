@@ -12,6 +12,7 @@ message is left to rosbags, whose checks and errors then apply.
 import struct
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial, reduce
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -69,6 +70,13 @@ def _with_motion(old: Any) -> Any:
     """Return a machine state of message set 1, which knew no motion of axes and no coolant."""
     unknown = np.full(len(old.axis), np.nan)
     added = {'coolant': 0, 'spindle_load': np.nan, 'travel': unknown, 'square_speed': unknown}
+    return SimpleNamespace(**vars(old), **added)
+
+
+def _without_moments(old: Any) -> Any:
+    """Return a machine state of message set 3, which did not tell where an axis had moved."""
+    unknown = np.full(len(old.axis), np.nan)
+    added = {'travel_moment': unknown, 'travel_second_moment': unknown}
     return message_type(_MACHINE_STATE)(**vars(old), **added)
 
 
@@ -91,6 +99,7 @@ UPGRADERS: Upgraders = {
     (_MACHINE_STATE, 1): _with_motion,
     (_THERMAL_ERROR, 2): _without_slope,
     (_APPLIED, 2): _applied_everywhere,
+    (_MACHINE_STATE, 3): _without_moments,
 }
 """The upgraders of this version."""
 

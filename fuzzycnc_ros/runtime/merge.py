@@ -14,6 +14,7 @@ from typing import Any
 
 from fuzzycnc_ros.runtime.component import LATCHED, Component, Emission
 from fuzzycnc_ros.runtime.records import (
+    MOTION_FIELDS,
     SECOND,
     AxisState,
     CompensationApplied,
@@ -44,7 +45,7 @@ PARALLEL: dict[type[Any], dict[str, tuple[str, ...]]] = {
     AxisState: {'axis': ('reference', 'position', 'velocity')},
     CompensationApplied: {'axis': ('offset', 'at_limit', 'slope', 'position')},
     Displacement: {'axis': ('channel', 'displacement', 'standard_deviation', 'position')},
-    MachineState: {'axis': ('position', 'travel', 'square_speed')},
+    MachineState: {'axis': ('position', *MOTION_FIELDS)},
     PredictorState: {'input': ('last_rise',)},
     SensorCluster: {'member': ('score',), 'substitute': ('gain', 'correlation')},
     Temperatures: {'sensor': ('temperature', 'status')},

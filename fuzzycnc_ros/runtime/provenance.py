@@ -13,7 +13,7 @@ from fuzzycnc_ros.runtime.arithmetic import arithmetic
 from fuzzycnc_ros.runtime.component import Component
 from fuzzycnc_ros.runtime.host import NodeConfiguration, NodeEvent
 
-MESSAGE_SET = 3
+MESSAGE_SET = 4
 """Version of the message set; bags carry it, and older ones are upgraded on reading."""
 
 

@@ -299,6 +299,10 @@ class CompensationApplied(Record):
         return float(self.offset[number]) + along
 
 
+MOTION_FIELDS = ('travel', 'square_speed', 'travel_moment', 'travel_second_moment')
+"""Fields of `machine_state` that add up the motion of each axis."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MachineState(Record):
     """State of the machine as its controller reports it."""
@@ -316,10 +320,12 @@ class MachineState(Record):
     spindle_load: float = np.nan
     travel: Floats = field(default_factory=lambda: np.zeros(0))
     square_speed: Floats = field(default_factory=lambda: np.zeros(0))
+    travel_moment: Floats = field(default_factory=lambda: np.zeros(0))
+    travel_second_moment: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         """Take what is left out as unknown, in messages too."""
-        _fill(self, 'travel', 'square_speed')
+        _fill(self, *MOTION_FIELDS)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

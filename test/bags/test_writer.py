@@ -145,7 +145,7 @@ def test_file_is_what_rosbag2_writes(small_bag):
         assert {s.encoding for s in summary.schemas.values()} == {'ros2msg'}
         records = {record.name: record.metadata for record in reader.iter_metadata()}
         assert sum(1 for _ in reader.iter_messages()) == 400
-    assert records['fuzzycnc'] == {'message_set': '3'}
+    assert records['fuzzycnc'] == {'message_set': '4'}
     stored = yaml.safe_load(records['rosbag2']['serialized_metadata'])
     assert (
         stored

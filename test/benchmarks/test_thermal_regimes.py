@@ -43,10 +43,10 @@ def predicted(learner):
 
 def test_regimes_without_a_share_are_the_learner_without_them(regimes):
     basis = Basis(2, True, 60.0)
-    plain = predicted(Learner(basis, 1))
-    alike = predicted(regimes.regime_learner(regimes.heating, 0.0, basis, 1))
+    plain = predicted(Learner(basis, ['Z']))
+    alike = predicted(regimes.regime_learner(regimes.heating, 0.0, basis, ['Z']))
     np.testing.assert_allclose(alike, plain, rtol=1e-6, atol=1e-12)
-    other = predicted(regimes.regime_learner(regimes.heating, 0.7, basis, 1))
+    other = predicted(regimes.regime_learner(regimes.heating, 0.7, basis, ['Z']))
     assert np.abs(other - plain).max() > 1e-7
 
 

@@ -13,7 +13,7 @@ from interfaces import FILES, FOLDER, Field
 
 from fuzzycnc_ros.registry import COMPONENTS
 
-UNITS = {'-', 'm', '1/m', 'm/s', 'm2/s', 'rad', 'rad/s', 's', 'degC', 'K', 'Pa'}
+UNITS = {'-', 'm', 'm2', 'm3', '1/m', 'm/s', 'm2/s', 'rad', 'rad/s', 's', 'degC', 'K', 'Pa'}
 NODES = {*COMPONENTS, 'recorder', 'player', 'mqtt_publisher', 'mtconnect_adapter', 'opcua_server'}
 PLANNED = {'deformation_compensator', 'feedrate_scheduler', 'servo_controller', 'linuxcnc_bridge'}
 """Nodes whose messages are fixed before they are there."""

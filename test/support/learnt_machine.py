@@ -21,7 +21,7 @@ def follow(steps: int, seed: int, channels: int = 2) -> tuple[Learner, str]:
     own; there are pauses of hours.
     """
     random = np.random.Generator(np.random.PCG64(seed))
-    learner = Learner(Basis(3, True, 60.0), channels)
+    learner = Learner(Basis(3, True, 60.0), [f'C{number}' for number in range(channels)])
     weight = random.uniform(-1e-6, 1e-6, (channels, 4))
     rise, speed = np.zeros(3), 0.0
     said = hashlib.sha256()

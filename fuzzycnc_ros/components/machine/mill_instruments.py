@@ -13,6 +13,7 @@ from fuzzycnc_ros.core.inputs.offset_input import OffsetInput, OffsetInputConfig
 from fuzzycnc_ros.core.thermal.places import place_channels
 from fuzzycnc_ros.runtime.component import Emission, Health, Level
 from fuzzycnc_ros.runtime.records import (
+    MOTION_FIELDS,
     Compensation,
     CompensationApplied,
     Displacement,
@@ -262,16 +263,15 @@ class Warmth(MillInstruments):
         if self._screws is None:
             return {'axis': axis, 'position': reference}
         known = self._screws.position | dict(zip(axis, reference.tolist(), strict=True))
-        moved = {name for name, (way, _) in self._screws.motion.items() if way}
+        moved = {name for name, (way, *_) in self._screws.motion.items() if way}
         known |= {name: self._screws.position[name] for name in moved}
         names = self._screws.with_axes(axis)
-        nothing = (np.nan, np.nan)
+        nothing = np.full(len(MOTION_FIELDS), np.nan)
         motion = np.array([self._screws.motion.get(name, nothing) for name in names])
         return {
             'axis': names,
             'position': np.array([known[name] for name in names]),
-            'travel': motion[:, 0],
-            'square_speed': motion[:, 1],
+            **dict(zip(MOTION_FIELDS, motion.T, strict=True)),
         }
 
     def applied(self, stamp: int, frame_id: str, refusal: str) -> Emission:

@@ -12,11 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fuzzycnc_ros.core.thermal.places import MOTION_MEANS
 from fuzzycnc_ros.core.thermal.run import DRIVE_MAX, GAP_MAX
 from fuzzycnc_ros.runtime.enums import Coolant
-from fuzzycnc_ros.runtime.records import SECOND, Floats, Stamp, nanoseconds
+from fuzzycnc_ros.runtime.records import MOTION_FIELDS, SECOND, Floats, Stamp, nanoseconds
 
-COUNTERS = {'travel': 'axis_speed', 'square_speed': 'axis_square_speed'}
+COUNTERS = dict(zip(MOTION_FIELDS, MOTION_MEANS, strict=True))
 """Fields of `machine_state` whose growth over time is a drive."""
 
 
@@ -75,9 +76,12 @@ class ControlDrives:
         if before is None or not 0 < elapsed <= nanoseconds(GAP_MAX):
             return
         for name, count in counters.items():
-            growth = count - before.counters.get(name, np.inf)
-            if growth >= 0.0:  # else it has begun anew
-                self._add(name, growth, elapsed)
+            drive, _, axis = name.partition('/')
+            # Moments may fall, as positions have a sign: the travel tells whether they go on.
+            rising = f'{MOTION_MEANS[0]}/{axis}' if drive in MOTION_MEANS[2:] else name
+            grown = counters.get(rising, np.nan) - before.counters.get(rising, np.inf)
+            if grown >= 0.0 and name in before.counters:  # else it has begun anew
+                self._add(name, count - before.counters[name], elapsed)
         for name, level in before.levels.items():
             self._add(name, level * (elapsed / SECOND), elapsed)
 
@@ -98,7 +102,7 @@ class ControlDrives:
         return {
             name: mean
             for name, (at, mean) in self._known.items()
-            if at >= oldest and mean <= DRIVE_MAX  # else its unit or its source is wrong
+            if at >= oldest and abs(mean) <= DRIVE_MAX  # else its unit or its source is wrong
         }
 
 

@@ -21,7 +21,8 @@ from fuzzycnc_ros.core.thermal.band import WIDTH
 from fuzzycnc_ros.core.thermal.confirmation import is_right, is_wrong, judged
 from fuzzycnc_ros.core.thermal.learning import Basis, Learner, Verdict
 from fuzzycnc_ros.core.thermal.model import ThermalModel
-from fuzzycnc_ros.core.thermal.places import channel_spans, motion_of, moving_axes
+from fuzzycnc_ros.core.thermal.places import channel_spans, motion_of
+from fuzzycnc_ros.core.thermal.screw_growth import screws_of
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.enums import ForgetMode
 from fuzzycnc_ros.runtime.records import (
@@ -70,16 +71,13 @@ class ProbeLearning:
         self._share = np.ones(len(model.channel))
         """Share of the model's prediction in an error, shape (c,) [-]."""
         self._learner: Learner | None = None
-        self._motion: tuple[str, ...] = ()
-        """Axes whose motion is read."""
         if config.learn and model.prior is not None:
-            self._learner, self._share = model.prior.learner(), np.array(model.prior.share)
-            self._motion = model.prior.motion
+            self._learner = model.prior.learner(model.channel)
+            self._share = np.array(model.prior.share)
         elif config.learn:
-            self._motion = moving_axes(model.channel, ())
-            moving = len(self._motion)
-            basis = Basis(len(model.inputs), True, model.interval, motion=moving)
-            self._learner = Learner(basis, len(model.channel))
+            screws = screws_of(model.channel)
+            basis = Basis(len(model.inputs), True, model.interval, screws=screws)
+            self._learner = Learner(basis, model.channel)
         if self._learner is not None:
             self._fresh = self._learner.memory
         channels = len(model.channel)
@@ -173,7 +171,7 @@ class ProbeLearning:
         """
         if self._learner is not None:
             known = speed if np.isfinite(speed) else 0.0
-            motion = motion_of(drives, self._motion)[0]
+            motion = motion_of(drives, self._learner.basis.axes)[0]
             self._learner.step(rise, known, self._elapsed(stamp), motion)
 
     def apply(

@@ -4,8 +4,8 @@
 
 In run k, y(t) = phi(t)' w_k + d(t) + noise, with w_k = rho w_(k-1) + sqrt(1 - rho^2) N(0, S).
 Features phi are the rises of the sensors and their first-order lags, lags of the spindle speed and
-of its square, and of the mean speed and squared speed of axes along which the error slopes.  The
-weights are those of one machine, and differ a little from run to run; d is a slow drift
+of its square, and what usual ball screws of axes along which the error slopes would have grown.
+The weights are those of one machine, and differ a little from run to run; d is a slow drift
 (Ornstein-Uhlenbeck process) that begins anew in each run.  Nothing has to be known beforehand: S,
 the drift and rho follow from the probes by marginal likelihood.
 
@@ -27,6 +27,8 @@ from numpy.typing import NDArray
 from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.band import WIDTH
+from fuzzycnc_ros.core.thermal.places import channel_axis
+from fuzzycnc_ros.core.thermal.screw_growth import ScrewGrowth
 
 GATE = 4.0
 """Standard deviations beyond which a probe is doubted [-]."""
@@ -49,18 +51,11 @@ and grinder."""
 SPINDLE_LAGS = (300.0, 900.0, 2700.0, 7200.0)
 """Lags of the spindle speed and of its square [s]."""
 
-MOTION_LAGS = (600.0, 1800.0, 5400.0)
-"""Lags of the speed of an axis at rest, and of its square [s]."""
-
-MOTION_UNIT = 0.2
-"""Mean speed of an axis that is expected to do as much as a rise of `RISE_UNIT` [m/s]."""
-
-VENTILATION = 4.5
-"""Growth of the loss of what an axis warms, over its mean speed, as a share of that at rest
-[1/(m/s)]: the likelier of 0 to 6 on random duties of the simulated mill."""
-
 RISE_UNIT, SPEED_UNIT = 10.0, 200.0
 """Rise [K] and least largest speed [rad/s] of which a scale is the error."""
+
+GROWTH_UNIT = 30e-6
+"""Growth of a screw that is expected to do as much as a rise of `RISE_UNIT` [m]."""
 
 DRIFT_TIME = 9000.0
 """Correlation time of the drift [s]; probes tell it no better."""
@@ -107,8 +102,8 @@ class Basis:
         Sampling interval [s].
     lags : tuple of float
         Lags of the rises [s].
-    motion : int
-        Number m of axes whose motion is read.
+    screws : tuple of ScrewGrowth, length m
+        Screws of the axes whose motion is read.
 
     Raises
     ------
@@ -120,11 +115,11 @@ class Basis:
     speed: bool
     interval: float
     lags: tuple[float, ...] = RISE_LAGS
-    motion: int = 0
+    screws: tuple[ScrewGrowth, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what gives no features, or too many."""
-        most = FEATURES_MAX - 2 * len(SPINDLE_LAGS) - 2 * len(MOTION_LAGS) * self.motion
+        most = FEATURES_MAX - 2 * len(SPINDLE_LAGS) - ScrewGrowth.FEATURES * len(self.screws)
         most //= 1 + len(self.lags)
         if not 1 <= self.sensors <= most:
             raise ValueError(
@@ -135,21 +130,39 @@ class Basis:
     @property
     def of_rises(self) -> int:
         """Number of features that are of rises or axes; those of the spindle speed follow them."""
-        return (1 + len(self.lags)) * self.sensors + 2 * len(MOTION_LAGS) * self.motion
+        return (1 + len(self.lags)) * self.sensors + ScrewGrowth.FEATURES * len(self.screws)
 
     @property
     def features(self) -> int:
         """Number p of features."""
         return self.of_rises + 2 * len(SPINDLE_LAGS) * self.speed
 
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axes whose motion is read."""
+        return tuple(screw.span.axis for screw in self.screws)
+
+    def seen_by(self, channel: str) -> Array:
+        """Return 1 for the features (p,) from which a channel is learnt, else 0.
+
+        The screws of other axes move it no more than the temperatures tell.
+        """
+        begin, axis = (1 + len(self.lags)) * self.sensors, channel_axis(channel)
+        found = np.ones(self.features)
+        for number, name in enumerate(self.axes):
+            if name != axis:
+                first = begin + number * ScrewGrowth.FEATURES
+                found[first : first + ScrewGrowth.FEATURES] = 0.0
+        return found
+
     def initial_state(self) -> Array:
-        """Return the state at the thermal reference, shape (p - s,)."""
-        return np.zeros(self.features - self.sensors)
+        """Return the state at the thermal reference, shape (q,): lags, then screws."""
+        return np.zeros(len(self._share) + ScrewGrowth.STATES * len(self.screws))
 
     def step(
         self, rise: Array, speed: float, state: Array, motion: Array | None = None
     ) -> tuple[Array, Array]:
-        """Return the features (p,) of a sample and the next state (p - s,).
+        """Return the features (p,) of a sample and the next state (q,).
 
         Parameters
         ----------
@@ -157,46 +170,43 @@ class Basis:
             Rises of the sensors [K].
         speed : float
             Spindle speed [rad/s].
-        state : ndarray, shape (p - s,)
+        state : ndarray, shape (q,)
             State after the sample before.
-        motion : ndarray, shape (2 m,), optional
-            Mean speeds of the axes [m/s], then mean squared speeds [m2/s2], since the sample
-            before; nothing moved if it is left out.
+        motion : ndarray, shape (m, 4), optional
+            Motion of each axis since the sample before, see `ScrewGrowth.step`; nothing moved if
+            it is left out.
         """
-        share, drive = self._share, self._drive(rise, np.asarray(speed))
-        if self.motion:
-            share, drive = self._moved(share, drive, motion)
-        state = state + share * (drive - state)
-        return np.concatenate((rise, state)), state
+        lags = state[: len(self._share)]
+        lags = lags + self._share * (self._drive(rise, np.asarray(speed)) - lags)
+        screws = np.split(state[len(lags) :], len(self.screws)) if self.screws else []
+        moved = np.zeros((len(screws), 4)) if motion is None else motion
+        after = [
+            screw.step(warm, self.interval, of_axis)
+            for screw, warm, of_axis in zip(self.screws, screws, moved, strict=True)
+        ]
+        state = np.concatenate([lags, *after])
+        return self.features_of(rise, state), state
 
-    def _moved(self, share: Array, drive: Array, motion: Array | None) -> tuple[Array, Array]:
-        """Put the motion of the axes in; what it warms loses the more the faster it is."""
-        moved = np.zeros(2 * self.motion) if motion is None else motion
-        speed, square = np.split(moved, 2)
-        loss = 1.0 + VENTILATION * speed
-        warmed = np.concatenate([speed / MOTION_UNIT, square / (MOTION_UNIT * MOTION_UNIT)])
-        loss = np.concatenate([loss, loss])
-        lags = np.repeat(MOTION_LAGS, len(loss))
-        count = len(lags)
-        begin = len(self.lags) * self.sensors
-        rows = slice(begin, begin + count)
-        share, drive = share.copy(), drive.copy()
-        tiled = np.tile(loss, len(MOTION_LAGS))
-        share[rows] = 1.0 - portable.exp(-self.interval * tiled / lags)
-        drive[rows] = np.tile(RISE_UNIT * warmed / loss, len(MOTION_LAGS))
-        return share, drive
+    def features_of(self, rise: Array, state: Array) -> Array:
+        """Return the features (p,) of rises (s,) [K] and a state (q,)."""
+        count = len(self._share)
+        of_rises = len(self.lags) * self.sensors
+        screws = np.split(state[count:], len(self.screws)) if self.screws else []
+        grown = [
+            RISE_UNIT / GROWTH_UNIT * screw.growths(warm)
+            for screw, warm in zip(self.screws, screws, strict=True)
+        ]
+        return np.concatenate([rise, state[:of_rises], *grown, state[of_rises:count]])
 
     @cached_property
     def _share(self) -> Array:
         lags = np.repeat(self.lags, self.sensors)
-        lags = np.concatenate([lags, np.repeat(MOTION_LAGS, 2 * self.motion)])
         if self.speed:
             lags = np.concatenate([lags, np.tile(SPINDLE_LAGS, 2)])
         return 1.0 - portable.exp(-self.interval / lags)
 
     def _drive(self, rise: Array, speed: Array) -> Array:
         drives = [rise] * len(self.lags)
-        drives.append(np.zeros(2 * len(MOTION_LAGS) * self.motion))
         if self.speed:
             size = np.abs(speed)[..., np.newaxis]
             drives += [size] * len(SPINDLE_LAGS) + [size * size] * len(SPINDLE_LAGS)
@@ -394,7 +404,7 @@ class Posterior:
         rises, drift = self._basis.of_rises, self.scales.drift_variance
         found = {}
         for name, part in (
-            ('temperatures and axes' if self._basis.motion else 'temperatures', slice(0, rises)),
+            ('temperatures and axes' if self._basis.screws else 'temperatures', slice(0, rises)),
             ('spindle speed', slice(rises, self._basis.features)),
         ):
             row = features[part]
@@ -791,13 +801,14 @@ class Learner:
     ----------
     basis : Basis
         The features.
-    channels : int
-        Number c of channels.
+    channel : sequence of str, length c
+        Channels, see `places`.
     """
 
-    def __init__(self, basis: Basis, channels: int) -> None:
+    def __init__(self, basis: Basis, channel: Sequence[str]) -> None:
         self.basis = basis
-        self.posteriors = tuple(Posterior(basis) for _ in range(channels))
+        self.posteriors = tuple(Posterior(basis) for _ in channel)
+        self._channel = tuple(channel)
         self.rest()
 
     def forget(self) -> None:
@@ -815,8 +826,9 @@ class Learner:
     def rest(self) -> None:
         """Go to the thermal reference of the run, where the machine is cold."""
         self._time = 0.0
+        self._seen = tuple(self.basis.seen_by(name) for name in self._channel)
         self.lags = self.basis.initial_state()
-        """Lagged rises and speeds, shape (p - s,)."""
+        """State of the basis: lagged rises and speeds, temperatures of screws, shape (q,)."""
         self._features = self._before = np.zeros(self.basis.features)
 
     def resume(self, rise: Array, lags: Array, time: float) -> None:
@@ -827,11 +839,10 @@ class Learner:
         ValueError
             If they are not finite, or of other sensors.
         """
-        features = np.concatenate((rise, lags))
-        if len(features) != self.basis.features or not np.isfinite(features).all():
+        if len(lags) != len(self.lags) or not np.isfinite(lags).all():
             raise ValueError(f'lags: expected {len(self.lags)} finite numbers')
         self._time, self.lags = time, np.array(lags, dtype=np.float64)
-        self._features = self._before = features
+        self._features = self._before = self.basis.features_of(rise, self.lags)
 
     def step(self, rise: Array, speed: float, time: float, motion: Array | None = None) -> None:
         """Go on to the next sample.
@@ -844,15 +855,18 @@ class Learner:
             Spindle speed [rad/s].
         time : float
             Time since the thermal reference [s].
-        motion : ndarray, shape (2 m,), optional
-            Mean speeds of the axes [m/s], then mean squared speeds [m2/s2].
+        motion : ndarray, shape (m, 4), optional
+            Motion of each axis since the sample before; see `ScrewGrowth.step`.
         """
         self._time, self._before = time, self._features
         self._features, self.lags = self.basis.step(rise, speed, self.lags, motion)
 
     def predict(self) -> tuple[Array, Array]:
         """Return the expected errors of the last sample and their deviations, (c,) [m]."""
-        found = [item.predict(self._features, self._time) for item in self.posteriors]
+        found = [
+            item.predict(seen * self._features, self._time)
+            for item, seen in zip(self.posteriors, self._seen, strict=True)
+        ]
         error, deviation = np.array(found).T
         return error, deviation
 
@@ -874,7 +888,10 @@ class Learner:
         for channel in np.flatnonzero(np.isfinite(error)):
             posterior = self.posteriors[channel]
             verdicts[channel] = posterior.update(
-                features, self._time - ago, float(error[channel]), float(noise[channel])
+                self._seen[channel] * features,
+                self._time - ago,
+                float(error[channel]),
+                float(noise[channel]),
             )
             if verdicts[channel] == Verdict.ACCEPTED and posterior.due:
                 posterior.tune()
@@ -882,7 +899,8 @@ class Learner:
 
     def unknown(self, channel: int) -> dict[str, float]:
         """Return the variance of a channel's prediction from each part of it alone [m^2]."""
-        return self.posteriors[channel].unknown(self._features, self._time)
+        features = self._seen[channel] * self._features
+        return self.posteriors[channel].unknown(features, self._time)
 
     @property
     def memory(self) -> Array:

@@ -170,13 +170,18 @@ def channel_spans(channel: Sequence[str]) -> tuple[ChannelSpan, ...]:
     return tuple(found)
 
 
+MOTION_MEANS = ('axis_speed', 'axis_square_speed', 'axis_moment', 'axis_second_moment')
+"""Means that a control tells of the motion of an axis: its speed [m/s] and squared speed [m2/s2],
+and speed times position [m2/s] and squared position [m3/s]."""
+
+
 def motion_of(drives: Mapping[str, Any], axes: Sequence[str], samples: int = 1) -> Array:
-    """Return mean speeds of axes, then mean squared speeds, by what a control told of them.
+    """Return the motion of axes as a control told it.
 
     Parameters
     ----------
     drives : mapping of str to float or ndarray, shape (n,)
-        Values of `axis_speed/X` [m/s] and `axis_square_speed/X` [m2/s2].
+        Values of `MOTION_MEANS`, as `axis_speed/X`.
     axes : sequence of str, length m
         The axes; one of which nothing was told stood still.
     samples : int
@@ -184,17 +189,20 @@ def motion_of(drives: Mapping[str, Any], axes: Sequence[str], samples: int = 1) 
 
     Returns
     -------
-    ndarray, shape (n, 2 m)
-        Zero where it is unknown.
+    ndarray, shape (n, m, 4)
+        In the order of `MOTION_MEANS`: zero where a speed, NaN where a position is unknown.
     """
-    names = [f'{name}/{axis}' for name in ('axis_speed', 'axis_square_speed') for axis in axes]
-    found = np.zeros((samples, len(names)))
-    for column, name in enumerate(names):
-        found[:, column] = drives.get(name, 0.0)
-    return np.nan_to_num(found)
+    found = np.zeros((samples, len(axes), len(MOTION_MEANS)))
+    for row, axis in enumerate(axes):
+        for column, name in enumerate(MOTION_MEANS):
+            found[:, row, column] = drives.get(f'{name}/{axis}', np.nan)
+    found[:, :, :2] = np.nan_to_num(found[:, :, :2])
+    return found
 
 
-def moving_axes(channel: Sequence[str], drives: Sequence[Mapping[str, Array]]) -> tuple[str, ...]:
+def moving_spans(
+    channel: Sequence[str], drives: Sequence[Mapping[str, Array]]
+) -> tuple[AxisSpan, ...]:
     """Return the axes along which the error slopes and whose motion is known throughout.
 
     Parameters
@@ -202,15 +210,15 @@ def moving_axes(channel: Sequence[str], drives: Sequence[Mapping[str, Array]]) -
     channel : sequence of str
         Channels of a model.
     drives : sequence of mapping
-        What the control told in each run; see `motion_of`.
+        Drives that the control told in each run; see `motion_of`.
     """
     return tuple(
-        item.span.axis
+        item.span
         for item in channel_spans(channel)
         if all(
             np.isfinite(run.get(f'{name}/{item.span.axis}', np.nan)).all()
             for run in drives
-            for name in ('axis_speed', 'axis_square_speed')
+            for name in MOTION_MEANS[:2]
         )
     )
 

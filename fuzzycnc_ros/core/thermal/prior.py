@@ -21,6 +21,8 @@ from fuzzycnc_ros.core.thermal.learning import (
     Posterior,
     Scales,
 )
+from fuzzycnc_ros.core.thermal.places import SPAN_MIN, AxisSpan
+from fuzzycnc_ros.core.thermal.screw_growth import ScrewGrowth
 
 MODEL_SHARE = 1.0 / 3.0
 """Share of the trained model's prediction in the mean of an error [-], unless the model alone is
@@ -32,6 +34,9 @@ grinder, probed or not, a fifth to two fifths of the model do alike, none and al
 LAGS = (900.0, 3600.0, 10800.0)
 """Lags of the rises where there are calibration runs [s]; the likeliest of four sets on the
 simulated mill and grinder.  The slowest cannot be learnt from a few probes."""
+
+PLACE_MAX = 100.0
+"""Largest position along an axis that a file may have [m]."""
 
 SCALE_MAX = 1.0
 """Largest scale that a file may have [m]."""
@@ -55,21 +60,23 @@ class LearningPrior:
         Knowledge of each channel.
     share : tuple of float, length c
         Share of the trained model's prediction in an error [-].
-    motion : tuple of str, length m
-        Axes whose motion the features read.
     """
 
     basis: Basis
     known: tuple[Knowledge, ...]
     share: tuple[float, ...]
-    motion: tuple[str, ...] = ()
 
-    def learner(self) -> Learner:
+    def learner(self, channel: Sequence[str]) -> Learner:
         """Return a learner that begins with this.
 
         It expects errors, and takes probes, less the share of the model's prediction.
+
+        Parameters
+        ----------
+        channel : sequence of str, length c
+            Channels of the model.
         """
-        learner = Learner(self.basis, len(self.known))
+        learner = Learner(self.basis, channel)
         learner.posteriors = tuple(Posterior.of(self.basis, known) for known in self.known)
         return learner
 
@@ -80,7 +87,8 @@ class LearningPrior:
     def document(self) -> dict[str, Any]:
         """Return the prior as JSON values."""
         # Files of models without such axes keep their text.
-        moving = {'motion': list(self.motion)} if self.motion else {}
+        spans = [screw.span for screw in self.basis.screws]
+        moving = {'motion': {span.axis: [span.low, span.high] for span in spans}} if spans else {}
         return {
             **moving,
             'speed': self.basis.speed,
@@ -117,17 +125,25 @@ class LearningPrior:
         """
         with node.named():
             lags = node.get('lags').numbers(interval * LENGTH_MIN, NUMBER_MAX)
-            known = node.items().get('motion')
-            motion = () if known is None else known.texts()
-            speed = node.get('speed').boolean()
-            basis = Basis(sensors, speed, interval, lags, len(motion))
+            screws = _read_screws(node.items().get('motion'))
+            basis = Basis(sensors, node.get('speed').boolean(), interval, lags, screws)
         channels = node.get('channels').list()
         return LearningPrior(
             basis=basis,
             known=tuple(_read(item, basis.features) for item in channels),
             share=tuple(item.get('share').number(0.0, 1.0) for item in channels),
-            motion=motion,
         )
+
+
+def _read_screws(node: Node | None) -> tuple[ScrewGrowth, ...]:
+    """Return the screws of axes, whose spans a document may name."""
+    found = []
+    for axis, places in (node.items() if node is not None else {}).items():
+        ends = places.numbers(-PLACE_MAX, PLACE_MAX)
+        if len(ends) != 2 or ends[1] - ends[0] < SPAN_MIN:
+            places.refuse('two increasing positions in m')
+        found.append(ScrewGrowth(AxisSpan(axis, *ends)))
+    return tuple(found)
 
 
 def _read(node: Node, features: int) -> Knowledge:
@@ -189,7 +205,7 @@ def of_one_kind(priors: Sequence[LearningPrior]) -> LearningPrior:
     if count < 2:
         raise ValueError(f'machines: expected two of one kind or more, but found {count}')
     for other in priors[1:]:
-        if (other.basis, other.share, other.motion) != (first.basis, first.share, first.motion):
+        if (other.basis, other.share) != (first.basis, first.share):
             raise ValueError(
                 'machines: expected the same number of sensors, lags, interval and share of a '
                 'model in all of them, but found others'

@@ -159,8 +159,15 @@ RISE_RATE_MAX = 10.0
 SPINDLE_SPEED_MAX = 20000.0
 """Largest plausible spindle speed [rad/s], 190,000 rpm; beyond it units were mixed up."""
 
-DRIVE_NAMES = 'axis_speed/X, axis_square_speed/X (with any axis), spindle_load or coolant'
-DRIVE_NAME = re.compile('axis_(square_)?speed/.+|spindle_load|coolant')
+DRIVE_NAMES = (
+    'axis_speed/X, axis_square_speed/X, axis_moment/X, axis_second_moment/X (with any axis), '
+    'spindle_load or coolant'
+)
+MOMENT = 'axis_moment/'
+"""Beginning of the name of a drive that has a sign, as positions have."""
+DRIVE_NAME = re.compile(
+    f'axis_(square_)?speed/.+|{MOMENT}.+|axis_second_moment/.+|spindle_load|coolant'
+)
 """Names of what else than the spindle speed a control tells of heat."""
 
 DRIVE_MAX = 1000.0
@@ -236,9 +243,10 @@ class ThermalRun:
     spindle_speed : array_like, shape (n,), optional
         Measured spindle speed [rad/s]; NaN where unknown, absent where it was not recorded.
     drives : mapping of str to array_like, shape (n,)
-        What else the control told of heat, each a mean since the sample before: `axis_speed/X`
-        [m/s], `axis_square_speed/X` [m2/s2], `spindle_load` [-], `coolant` [share of the time];
-        NaN where unknown.
+        Drives of heat that the control told, each a mean since the sample before: `axis_speed/X`
+        [m/s], `axis_square_speed/X` [m2/s2], `axis_moment/X` [m2/s] and `axis_second_moment/X`
+        [m3/s], which tell where it moved (see `places.MOTION_MEANS`), `spindle_load` [-],
+        `coolant` [share of the time]; NaN where unknown.
     limits : SensorLimits
         Ranges and rates of sensors that are not those of a machine's metal.
 
@@ -611,10 +619,11 @@ def _check_values(run: ThermalRun) -> None:
             raise ThermalDataError(
                 f'run {run.name!r}: expected drives named {DRIVE_NAMES}, but found {name!r}'
             )
-        wrong = values[(values < 0.0) | (values > DRIVE_MAX)]
+        least = -DRIVE_MAX if name.startswith(MOMENT) else 0.0
+        wrong = values[(values < least) | (values > DRIVE_MAX)]
         if len(wrong):
             raise ThermalDataError(
-                f'run {run.name!r}: expected {name} from 0 to {DRIVE_MAX:g}, but found '
+                f'run {run.name!r}: expected {name} from {least:g} to {DRIVE_MAX:g}, but found '
                 f'{wrong[0]:g}; check its unit'
             )
 
@@ -748,7 +757,8 @@ def drivers_of(runs: Sequence[ThermalRun]) -> tuple[str, ...]:
     drives = [
         name
         for name in sorted(set.intersection(*(set(run.drives) for run in runs)))
-        if all(driver_known(run, name) for run in runs)
+        if 'moment' not in name  # they tell where an axis moved, not how much heat it made
+        and all(driver_known(run, name) for run in runs)
         and any(float(np.ptp(run.drives[name])) > 0.0 for run in runs)
     ]
     return ((SPINDLE_SPEED,) if speed else ()) + tuple(drives)

@@ -172,6 +172,17 @@ class Stroke:
                 f'but found {self.speed} m/s'
             )
 
+    @property
+    def motion(self) -> Array:
+        """Means over whole strokes, shape (4,).
+
+        Absolute speed [m/s], its square [m2/s2], speed times position [m2/s] and squared position
+        [m3/s].
+        """
+        middle, reach = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
+        mean_square = middle * middle + reach * reach / 3.0
+        return self.speed * np.array([1.0, self.speed, middle, mean_square])
+
     def position(self, time: float) -> float:
         """Return where an axis is that left the high end at time 0 [m]."""
         span = self.high - self.low

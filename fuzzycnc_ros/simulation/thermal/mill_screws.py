@@ -135,8 +135,8 @@ class MillScrews:
         Temperature sensors, such as `Y_nut`.
     position : dict of str to float
         Where each axis is [m].
-    motion : dict of str to (float, float)
-        Way of each axis [m] and integral of its squared speed [m2/s] since the beginning.
+    motion : dict of str to ndarray, shape (4,)
+        Integrals of `Stroke.motion` over time since the beginning, by axis.
     moving : bool
         Whether an axis moves.
 
@@ -183,7 +183,7 @@ class MillScrews:
         self._reading_rng = np.random.default_rng([seed, 2])
         self._displacement_rng = np.random.default_rng([seed, 3])
         self.position = dict.fromkeys(self._configs, 0.0)
-        self.motion = dict.fromkeys(self._configs, (0.0, 0.0))
+        self.motion = dict.fromkeys(self._configs, np.zeros(4))
         self.moving = False
 
     def with_axes(self, axes: Sequence[str]) -> tuple[str, ...]:
@@ -211,9 +211,8 @@ class MillScrews:
                 continue
             self._strokes[axis] = stroke
             self.position[axis] = stroke.position(since + period)
-            way, square = self.motion[axis]
             speed = stroke.speed
-            self.motion[axis] = (way + speed * period, square + speed * speed * period)
+            self.motion[axis] = self.motion[axis] + period * stroke.motion
             self.moving = self.moving or speed > 0.0
 
     def advance(self, duration: float, ambient: Callable[[float], float]) -> None:

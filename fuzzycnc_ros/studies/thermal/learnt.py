@@ -18,8 +18,9 @@ from fuzzycnc_ros.core.thermal.candidate import UNCOMPENSATED
 from fuzzycnc_ros.core.thermal.fit.training import at_interval, training_interval
 from fuzzycnc_ros.core.thermal.fit.training_runs import check_training_runs
 from fuzzycnc_ros.core.thermal.learning import Basis, Learner, Verdict
-from fuzzycnc_ros.core.thermal.places import motion_of, moving_axes
+from fuzzycnc_ros.core.thermal.places import motion_of
 from fuzzycnc_ros.core.thermal.run import JITTER_MAX, ThermalRun, speed_known
+from fuzzycnc_ros.core.thermal.screw_growth import screws_of
 from fuzzycnc_ros.studies.page.chart import Axis, Band, Chart, Panel, Rule, Series
 from fuzzycnc_ros.studies.page.drawing import AFTER, BEFORE, FAINT, MEASURED, MUTED, time_axis
 from fuzzycnc_ros.studies.page.html import Figure, Page, Remark, Section
@@ -130,19 +131,19 @@ def learn_runs(
     check_training_runs(even)
     check_every(every, interval, 'the runs')
     speed = all(speed_known(run) for run in even)
-    motion = moving_axes(even[0].channel, [run.drives for run in even])
-    basis = Basis(len(even[0].sensor), speed, interval, motion=len(motion))
+    screws = screws_of(even[0].channel, [run.drives for run in even])
+    basis = Basis(len(even[0].sensor), speed, interval, screws=screws)
     random = None if seed is None else np.random.default_rng(seed)
-    learner = Learner(basis, len(even[0].channel))
+    learner = Learner(basis, even[0].channel)
     for number, run in enumerate(even):
         if number and carry:
             learner.begin_run()
         elif number:
-            learner = Learner(basis, len(run.channel))
+            learner = Learner(basis, run.channel)
         probes = run.displacement
         if random is not None:
             probes = probes + noise * random.standard_normal(probes.shape)
-        yield _followed(learner, run, probes, every, noise, motion)
+        yield _followed(learner, run, probes, every, noise)
 
 
 def _followed(
@@ -151,12 +152,11 @@ def _followed(
     probes: Array,
     every: float,
     noise: float,
-    motion: Sequence[str],
 ) -> LearntRun:
     """Let a learner follow a run from its reference to its end."""
     shape = run.displacement.shape
     speeds = np.zeros(shape[0]) if run.spindle_speed is None else run.spindle_speed
-    moved = motion_of(run.drives, motion, shape[0])
+    moved = motion_of(run.drives, learner.basis.axes, shape[0])
     before = deepcopy(learner)
     predicted = {name: np.zeros(shape) for name in (UNCOMPENSATED, HELD, CARRIED, LEARNT)}
     deviation = {name: np.zeros(shape) for name in (CARRIED, LEARNT)}

@@ -14,6 +14,7 @@ from fuzzycnc_ros.core.thermal.confirmation import is_right, is_wrong
 from fuzzycnc_ros.core.thermal.learning import RISE_UNIT, Basis, Knowledge, Learner
 from fuzzycnc_ros.core.thermal.model import ModelMismatchError, ThermalModel
 from fuzzycnc_ros.core.thermal.prior import LearningPrior
+from fuzzycnc_ros.core.thermal.screw_growth import screws_of
 from fuzzycnc_ros.runtime.records import ThermalPosterior
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.thermal.summary import micrometres
@@ -98,10 +99,11 @@ def memory_of(name: str, posterior: ThermalPosterior, model: ThermalModel | None
             f'{posterior.model_hash[:12]}; name the file of that model with --model'
         )
     if model.prior is not None:
-        learner = model.prior.learner()
+        learner = model.prior.learner(model.channel)
     else:
-        basis = Basis(len(model.inputs), True, model.interval)
-        learner = Learner(basis, len(model.channel))
+        screws = screws_of(model.channel)
+        basis = Basis(len(model.inputs), True, model.interval, screws=screws)
+        learner = Learner(basis, model.channel)
     learner.memory = posterior.memory
     known = tuple(item.knowledge() for item in learner.posteriors)
     return Memory(name, posterior, model, learner.basis, known)
@@ -124,7 +126,7 @@ def memory_table(memories: Sequence[Memory]) -> Table:
         for number, channel in enumerate(item.model.channel):
             known = item.known[number]
             warm = np.zeros(item.basis.features)
-            warm[: item.basis.of_rises] = RISE_UNIT
+            warm[: (1 + len(item.basis.lags)) * item.basis.sensors] = RISE_UNIT
             spread = np.sqrt(warm @ known.covariance @ warm)
             rows.append(
                 (

@@ -89,6 +89,10 @@ def test_what_the_axes_have_moved_is_told():
     state = rig.bench.records('machine_state')[-1]
     np.testing.assert_allclose(state.travel, [0.099, 0.099, 0.0], atol=1e-9)
     np.testing.assert_allclose(state.square_speed, [0.0099, 0.0099, 0.0], rtol=1e-6)
+    # where they moved: X evenly from 0 to 1 mm, Y from 0 to 99 mm
+    moments = np.array([state.travel_moment[:2], state.travel_second_moment[:2]])
+    ends = np.array([1e-3, 0.099])
+    np.testing.assert_allclose(moments, 0.099 * np.array([ends / 2, ends**2 / 3]), rtol=1e-6)
     assert state.coolant == Coolant.UNKNOWN
     rig.bench.emitted += rig.bridge.lose(nanoseconds(rig.time), 'it has ended')
     rig.controller.position = np.array([0.0, 5.0, 0.0])

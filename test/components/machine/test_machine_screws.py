@@ -53,6 +53,8 @@ def test_an_axis_that_warms_up_alone_is_longer_at_its_far_end():
     assert -0.45 <= state.position[1] <= -0.05
     assert state.travel[1] == pytest.approx(0.25 * (601 * 12 - 360))
     assert state.square_speed[1] == pytest.approx(0.0625 * (601 * 12 - 360))
+    assert state.travel_moment[1] == pytest.approx(-0.25 * state.travel[1])
+    assert state.travel_second_moment[1] == pytest.approx((0.25**2 + 0.2**2 / 3) * state.travel[1])
     assert np.isnan(state.travel[0])
     assert np.ptp([item.position[1] for item in found['machine_state']]) > 0.35
 

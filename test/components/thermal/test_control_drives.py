@@ -78,6 +78,20 @@ def test_means_since_the_sample_before():
     assert drives.take((last + 2) * SECOND) == {'spindle_load': 0.5, 'coolant': 0.0}, 'absurd'
 
 
+def test_moments_go_on_as_long_as_the_travel_does():
+    def moved(second, travel, moment):
+        return second * SECOND, {'axis_speed/X': travel, 'axis_moment/X': moment}, {}
+
+    drives = ControlDrives()
+    for second, travel, moment in ((0, 0.0, 0.0), (30, 3.0, -1.2), (60, 6.0, -1.8)):
+        drives.note(*moved(second, travel, moment))
+    found = drives.take(60 * SECOND)
+    assert found == pytest.approx({'axis_speed/X': 0.1, 'axis_moment/X': -0.03})
+    drives.note(*moved(90, 1.0, 0.5))  # it has begun anew
+    drives.note(*moved(120, 4.0, 2.0))
+    assert drives.take(120 * SECOND) == pytest.approx({'axis_speed/X': 0.1, 'axis_moment/X': 0.05})
+
+
 def test_a_recording_has_what_a_predictor_would_have_known():
     states = [told(second, 0.2 * second) for second in range(5, 600, 10)]
     stamps = SECOND * np.arange(0, 600, 60)

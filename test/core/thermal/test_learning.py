@@ -332,7 +332,7 @@ def stepped(learner, rise, speed=0.0):
 
 
 def test_channels_are_learnt_apart_and_what_was_not_probed_stays():
-    learner = Learner(Basis(1, False, 60.0), 2)
+    learner = Learner(Basis(1, False, 60.0), ['Y', 'Z'])
     for _ in range(30):
         error, before = stepped(learner, 10.0)
     verdicts = learner.probe(np.array([30e-6, np.nan]), np.full(2, 0.5e-6))
@@ -349,7 +349,7 @@ def test_channels_are_learnt_apart_and_what_was_not_probed_stays():
 
 
 def test_a_probe_between_samples_has_the_features_between():
-    learner = Learner(Basis(1, False, 60.0), 1)
+    learner = Learner(Basis(1, False, 60.0), ['Z'])
     stepped(learner, 0.0)
     before = learner.predict()[0]
     stepped(learner, 10.0)
@@ -362,7 +362,7 @@ def test_a_probe_between_samples_has_the_features_between():
 @given(st.lists(st.tuples(st.integers(0, 6), st.floats(-4e-5, 4e-5)), max_size=90))
 @settings(max_examples=40, deadline=None)
 def test_memory_goes_on_with_the_same_digits(steps):
-    one, other = (Learner(Basis(2, True, 60.0), 2) for _ in range(2))
+    one, other = (Learner(Basis(2, True, 60.0), ['Y', 'Z']) for _ in range(2))
     for what, value in steps:
         if what == 0:
             for item in (one, other):

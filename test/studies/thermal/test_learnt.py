@@ -150,7 +150,7 @@ FALSE = {
 def taught():
     """Return a learner an hour into its fourth run, that run, and how it goes on."""
     days = [few(run) for run in record_runs(seed=4).values()]
-    learner = Learner(Basis(len(days[0].sensor), True, days[0].interval), 2)
+    learner = Learner(Basis(len(days[0].sensor), True, days[0].interval), ['Y', 'Z'])
     for run in days[:3]:
         walk(learner, run, range(len(run.time)))
         learner.begin_run()

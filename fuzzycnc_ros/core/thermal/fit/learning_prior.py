@@ -21,9 +21,10 @@ from fuzzycnc_ros.core.thermal.learning import (
     Probe,
     Scales,
 )
-from fuzzycnc_ros.core.thermal.places import motion_of, moving_axes
+from fuzzycnc_ros.core.thermal.places import motion_of
 from fuzzycnc_ros.core.thermal.prior import LAGS, MODEL_SHARE, LearningPrior
 from fuzzycnc_ros.core.thermal.run import ThermalRun
+from fuzzycnc_ros.core.thermal.screw_growth import screws_of
 
 EVERY = 1200.0
 """Least time whose mean displacement counts as a probe [s]: closer ones miss alike, and would be
@@ -88,27 +89,28 @@ def learning_prior(
     LearningPrior or None
         None if the model has more inputs than can be learnt from.
     """
-    motion = moving_axes(runs[0].channel, [run.drives for run in runs])
+    screws = screws_of(runs[0].channel, [run.drives for run in runs])
     try:
-        basis = Basis(len(inputs), speed, runs[0].interval, LAGS, len(motion))
+        basis = Basis(len(inputs), speed, runs[0].interval, LAGS, screws)
     except ValueError:
         return None
     samples = _Samples(
         run=thermal_cycles(runs[0]) if len(runs) == 1 else data.label,
         time=np.concatenate([run.time for run in runs]),
-        features=np.concatenate([_features(basis, run, inputs, motion) for run in runs]),
+        features=np.concatenate([_features(basis, run, inputs) for run in runs]),
         displacement=data.displacement,
     )
     # Weights that read the motion of axes know what most models do not: no mean of equals.
-    part = 0.0 if motion else MODEL_SHARE
+    part = 0.0 if screws else MODEL_SHARE
     known, share = [], []
-    for channel in range(len(runs[0].channel)):
-        probes = list(_probes(samples, channel))
+    for channel, name in enumerate(runs[0].channel):
+        seen = samples._replace(features=basis.seen_by(name) * samples.features)
+        probes = list(_probes(seen, channel))
         found = Posterior.studied(basis, probes, EXPECTED_OF_RUNS)
-        lost = _lost(basis, samples, channel, found.scales, data, unseen, part)
+        lost = _lost(basis, seen, channel, found.scales, data, unseen, part)
         known.append(_of_another_run(found, part, mean=0.0 if lost else 1.0 - part))
         share.append(1.0 if lost else part)
-    return LearningPrior(basis, tuple(known), tuple(share), motion)
+    return LearningPrior(basis, tuple(known), tuple(share))
 
 
 def _lost(
@@ -147,12 +149,10 @@ def _of_another_run(known: Knowledge, part: float, mean: float) -> Knowledge:
     )
 
 
-def _features(
-    basis: Basis, run: ThermalRun, inputs: Sequence[str], motion: Sequence[str]
-) -> Array:
+def _features(basis: Basis, run: ThermalRun, inputs: Sequence[str]) -> Array:
     speeds = run.spindle_speed if basis.speed else None
     features, state = [], basis.initial_state()
-    moved = motion_of(run.drives, motion, len(run.time))
+    moved = motion_of(run.drives, basis.axes, len(run.time))
     for row, rise in enumerate(run.rise()[:, run.columns(inputs)]):
         now = 0.0 if speeds is None else float(speeds[row])
         found, state = basis.step(rise, now, state, moved[row])

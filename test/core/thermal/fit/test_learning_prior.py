@@ -67,7 +67,7 @@ def test_a_machine_is_known_before_the_first_probe(runs):
     model = train_model(runs)
     run = made_run('new', 9)
     assert model.prior.share == (MODEL_SHARE, MODEL_SHARE)
-    learner = model.prior.learner()
+    learner = model.prior.learner(model.channel)
     error, deviation = follow(learner, model.prior.share, run, model.predict(run))
     left = run.displacement - error
     size, rms = (np.sqrt(np.mean(np.square(v), axis=0)) for v in (run.displacement, left))
@@ -80,7 +80,7 @@ def test_a_machine_is_known_before_the_first_probe(runs):
 def test_a_model_that_is_better_beyond_chance_is_the_mean_alone(runs, missed, share):
     prior = learnt(runs, missed=missed)
     assert prior.share == (share, share)
-    learner, run = prior.learner(), made_run('new', 9)
+    learner, run = prior.learner(('Y', 'Z')), made_run('new', 9)
     error, deviation = follow(learner, prior.share, run, run.displacement)
     left = run.displacement - error
     assert left.any() == (share < 1.0)
@@ -90,7 +90,7 @@ def test_a_model_that_is_better_beyond_chance_is_the_mean_alone(runs, missed, sh
 def test_a_probe_is_learnt_beside_what_is_known(runs):
     prior = learnt(runs)
     run = made_run('new', 9)
-    learner = prior.learner()
+    learner = prior.learner(('Y', 'Z'))
     nothing = np.zeros_like(run.displacement)
     _, before = follow(learner, prior.share, run, nothing)
     last = run.rise()[-1], float(run.spindle_speed[-1])
@@ -100,13 +100,13 @@ def test_a_probe_is_learnt_beside_what_is_known(runs):
     assert (expected < error).all()
     assert (error < expected + 1e-6).all()
     assert (after < before[-1]).all()
-    fresh = prior.learner()
+    fresh = prior.learner(('Y', 'Z'))
     one, other = (item.posteriors[0].predict(np.ones(16), 1e5) for item in (fresh, learner))
     assert one != other
 
 
 def test_a_false_probe_is_doubted_from_the_first_on(prior):
-    run, learner = made_run('new', 9), prior.learner()
+    run, learner = made_run('new', 9), prior.learner(('Y', 'Z'))
     for sample in zip(run.rise()[:120], run.spindle_speed.tolist(), run.time, strict=False):
         expected, deviation = step(learner, *sample)
     verdicts = learner.probe(expected + np.array([100e-6, 0.0]), np.full(2, 0.3e-6))
