@@ -166,8 +166,8 @@ class ScrewGrowth:
         state : ndarray, shape (STATES,)
             Rise of each cell, see `step`.
         """
-        grown: Array = portable.matmul(self._grown, state.reshape(CELLS, self.HEATS))
-        return grown.ravel()
+        grown = portable.matmul(self._grown, state.reshape(CELLS, self.HEATS))
+        return np.asarray(grown).ravel()
 
 
 def screws_of(
