@@ -139,7 +139,7 @@ class ScrewGrowth:
             power[:-1] += flow
             power[1:] -= flow
             warm = warm + part * power
-        return np.asarray(warm.ravel())
+        return np.array(warm, dtype=np.float64).ravel()
 
     def _covered(self, speed: float, first: float, second: float) -> Array:
         """Return the share of each cell in the way of the nut, shape (cells,) [-].
@@ -156,7 +156,7 @@ class ScrewGrowth:
                 at = min(max(middle, float(edges[0]) + NUT_HALF), float(edges[-1]) - NUT_HALF)
                 low, high = at - NUT_HALF, at + NUT_HALF
         covered = np.minimum(edges[1:], high) - np.maximum(edges[:-1], low)
-        return np.maximum(covered, 0.0) / (high - low)
+        return np.asarray(np.maximum(covered, 0.0) / (high - low))
 
     def growths(self, state: Array) -> Array:
         """Return the growths by each source with each factor, shape (FEATURES,) [m].
