@@ -392,7 +392,7 @@ class ControllerBridge(Component[ConfigT], ABC, Generic[ConfigT, StatusT, Orders
             parts.append(f'cut at the limit of {describe(self._axes, self._most(status), cut)}')
         if np.any(self._steep):
             axes = ', '.join(np.array(self._axes)[self._steep])
-            parts.append(f'slope of {axes} cut at {1e6 * self._config.slope_max:g} µm/m')
+            parts.append(f'slope of {axes} cut at {1e6 * self._config.slope_max:g} um/m')
         return '; '.join(parts)
 
     def _count_uncommanded(self) -> None:

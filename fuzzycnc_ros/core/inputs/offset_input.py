@@ -356,7 +356,7 @@ class OffsetInput:
         self._withdrawal = ''
         cut = np.abs(self._newest.target(self._position)) > self._config.offset_max
         slopes = ', '.join(np.array(self._axes)[steep])
-        text = f'slope of {slopes} cut at {1e6 * self._config.slope_max:g} µm/m' if slopes else ''
+        text = f'slope of {slopes} cut at {1e6 * self._config.slope_max:g} um/m' if slopes else ''
         return OffsetAnswer(True, '; '.join(part for part in (self._cut_text(cut), text) if part))
 
     def advance(self, time: int, position: ArrayLike | None = None) -> NDArray[np.float64]:
@@ -445,7 +445,7 @@ class OffsetInput:
         names = [name for name, is_cut in zip(self._axes, cut, strict=True) if is_cut]
         if not names:
             return ''
-        return f'{", ".join(names)} cut at the limit of {1e6 * self._config.offset_max:g} µm'
+        return f'{", ".join(names)} cut at the limit of {1e6 * self._config.offset_max:g} um'
 
     def _refused_by_owner(self, epoch: int, owner: str) -> str:
         if epoch < max(1, self.epoch):

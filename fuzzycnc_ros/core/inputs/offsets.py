@@ -24,7 +24,7 @@ def describe(
     """Return offsets [m] as text in micrometres, those that are chosen or not zero."""
     picked = np.abs(values) > 0.0 if chosen is None else np.asarray(chosen, bool)
     return ', '.join(
-        f'{axis} {1e6 * value:.2f} µm'
+        f'{axis} {1e6 * value:.2f} um'
         for axis, value, take in zip(axes, values, picked, strict=True)
         if take
     )

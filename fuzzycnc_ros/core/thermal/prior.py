@@ -138,6 +138,8 @@ class LearningPrior:
 def _read_screws(node: Node | None) -> tuple[ScrewGrowth, ...]:
     """Return the screws of axes, whose spans a document may name."""
     found = []
+    if node is not None and isinstance(node.value, list):
+        node.refuse('the span of each axis; the file is from before message set 4, train it anew')
     for axis, places in (node.items() if node is not None else {}).items():
         ends = places.numbers(-PLACE_MAX, PLACE_MAX)
         if len(ends) != 2 or ends[1] - ends[0] < SPAN_MIN:

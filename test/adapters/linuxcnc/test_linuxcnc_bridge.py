@@ -444,8 +444,8 @@ def test_stale_and_old_owners_are_refused():
     ('limits', 'text'),
     [
         ((10000.0, 10000.0), ''),
-        ((5000.0, 10000.0), 'offset_max = 60 um is above the 50 um'),
-        ((10000.0, 1000.0), 'slew_max = 50 um/s is above the 10 um/s'),
+        ((5000.0, 10000.0), 'offset_max = 60 µm is above the 50 µm'),
+        ((10000.0, 1000.0), 'slew_max = 50 µm/s is above the 10 µm/s'),
     ],
 )
 def test_limits_of_the_hal_file_are_wider(limits, text):

@@ -102,7 +102,7 @@ def in_use(polled):
 
 
 def disturbed(polled):
-    return polled.readings is not None and 'nobody asked for' in str(polled.readings[0])
+    return polled.readings is not None and 'unrequested bytes' in str(polled.readings[0])
 
 
 @pytest.fixture

@@ -53,7 +53,7 @@ def bags(tmp_path):
 def test_what_was_learnt_is_shown_side_by_side(fuzzycnc, bags):
     outcome = fuzzycnc('model', 'show', 'much', 'little', '--json', 'm.json')
     assert outcome.code == 0
-    assert len(re.findall(r'^(?:much|little) +[XYZ] +\d', outcome.out, re.M)) == 6
+    assert len(re.findall(r'^(?:much|little) +[XYZ] +\d+  ', outcome.out, re.M)) == 6
     assert 'much, Y, µm per 10 K of one sensor: ' in outcome.out
     figures = json.loads(Path('m.json').read_text())
     assert figures['much']['channels']['Y']['probes'] == len(ROWS)

@@ -222,8 +222,8 @@ def test_a_model_that_is_worse_than_none_is_called_so(fuzzycnc, lagging):
     assert figures['worse_than_none'] == figures['judged']['other']['worse_than_none'] == ['dz']
     rows = figures['runs']['other']
     words = (
-        f'other: worse than no compensation on dz: {rows["default"]["dz"]["rms_um"]:.1f} µm are '
-        f'left of {rows["uncompensated"]["dz"]["rms_um"]:.1f} µm'
+        f'other: worse than no compensation on dz: {rows["default"]["dz"]["rms_um"]:.1f} µm '
+        f'remain of {rows["uncompensated"]["dz"]["rms_um"]:.1f} µm'
     )
     assert said(judged, 'other: worse') == words
     assert f'! {rows["default"]["dz"]["rms_um"]:.1f}' in judged.out
