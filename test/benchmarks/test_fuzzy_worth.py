@@ -94,7 +94,7 @@ def test_spread_and_count_of_a_part(worth):
     assert part.document()['ways'][0]['figures']['error'] == [1.0, 2.005, 4.0, None]
 
 
-@pytest.mark.slow
+@pytest.mark.qualify
 def test_a_quick_run_judges_every_system(worth, tmp_path, monkeypatch, capsys):
     pytest.importorskip('sklearn', reason='scikit-learn is not installed here')
     data = tmp_path / 'data'

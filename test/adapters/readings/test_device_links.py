@@ -409,7 +409,7 @@ ENDED = {'drop': 'connection lost', 'forget': 'the server has ended the session 
 
 
 @pytest.mark.parametrize('how', ['drop', 'forget'])
-@pytest.mark.parametrize('drops', [5, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize('drops', [5, pytest.param(100, marks=pytest.mark.qualify)])
 @pytest.mark.usefixtures('impatient')
 def test_sessions_that_are_dropped_again_and_again_leave_nothing(field, poll, how, drops):
     server = field.add(Dropping({'T1': 0.5}))
