@@ -216,7 +216,7 @@ def test_offsets_beyond_the_machines_own_limit_are_cut_and_flagged():
     last = [e.record for e in found if e.output == 'compensation_applied'][-1]
     np.testing.assert_allclose(last.offset, [60 * MICRON, 0.0])
     assert last.at_limit.tolist() == [True, False]
-    assert 'Y cut at the limit of 60 µm' in last.reason
+    assert 'Y cut at the limit of 60 um' in last.reason
 
 
 def test_offsets_go_to_zero_by_themselves_when_the_command_expires():

@@ -413,6 +413,6 @@ def test_silent_machine_side_is_said_with_what_stood():
     silence = active_bench().component.silence
     name = 'compensation_applied'
     told = silence(name, applied(70.0, (0.0, -12.34 * MICRON), 1))
-    assert told.startswith('Z -12.34 µm stood then, which nobody may own now')
+    assert told.startswith('Z -12.34 um stood then, which nobody may own now')
     assert silence(name, applied(80.0, (3e-10, 0.0), 1)) == ''  # rounding of a controller
     assert silence('machine_state', machine_state(80.0)) == ''

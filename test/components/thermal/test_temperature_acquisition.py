@@ -399,7 +399,7 @@ def test_a_reference_over_offsets_is_refused_however_often_it_is_asked_for():
         answer = bench.request('set_thermal_reference', set_by='bob', force=False)
         assert not answer.success
         feed(bench, 10, [30.0], start=540.0 + 120.0 * number)
-    assert 'Y -13.70 µm are in force' in answer.message
+    assert 'Y -13.70 um are in force' in answer.message
     assert 'deactivate the compensator' in answer.message
     (reference,) = bench.records('thermal_reference')
     assert reference.set_by == 'anna'
@@ -411,15 +411,15 @@ def test_a_forced_reference_over_offsets_says_what_becomes_of_them_until_they_ar
     answer = bench.request('set_thermal_reference', set_by='bob', force=True)
     assert answer.success
     assert answer.message == (
-        'the next 2 samples become the thermal reference although Y -13.70 µm are in force: '
+        'the next 2 samples become the thermal reference although Y -13.70 um are in force: '
         'these go to what the rises against the new reference say, which begin at zero'
     )
     told = 'WARN forced reference: reference forced by bob while offsets are in force, now Y '
-    assert told + '-13.70 µm' in bench.health()
+    assert told + '-13.70 um' in bench.health()
     bench.push('compensation_applied', applied(550.0, (-6e-6, 0.0)))
     feed(bench, 10, [30.0], start=540.0)
     assert bench.records('thermal_reference')[-1].set_by == 'bob'
-    assert told + '-6.00 µm' in bench.health()
+    assert told + '-6.00 um' in bench.health()
     bench.push('compensation_applied', applied(670.0))
     feed(bench, 5, [30.0], start=660.0)
     bench.push('compensation_applied', applied(730.0, (1e-6, 0.0)))
