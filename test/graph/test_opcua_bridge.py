@@ -162,7 +162,7 @@ def test_the_control_forbids_and_limits(rig):
     rig.command((10, 40))
     rig.until(lambda: rig.at((10, 12)), 'cut at the smaller limit')
     assert rig.last.at_limit.tolist() == [False, True]
-    assert 'cut at the limit of Z 12.00 µm' in rig.last.reason
+    assert 'cut at the limit of Z 12.00 um' in rig.last.reason
     rig.command((70, 0), valid=1.0)
     rig.until(lambda: rig.at((60, 0)) and rig.last.at_limit[0], 'cut at our limit')
     rig.until(lambda: rig.last.status == OffsetStatus.EXPIRED and rig.at((0, 0)), 'expires')

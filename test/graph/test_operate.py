@@ -266,11 +266,11 @@ def test_a_reference_over_offsets_is_asked_for_with_force(graph, observer, comma
     with working(observer):
         code, _, err = command('reference', '--by', 'anna')
         assert code == 2
-        assert 'set_thermal_reference: expected a machine without offsets but Y -13.70 µm' in err
+        assert 'set_thermal_reference: expected a machine without offsets but Y -13.70 um' in err
         assert len(err.splitlines()) == 1
         code, out, _ = command('reference', '--by', 'anna', '--force')
         assert code == 0
-        assert 'although Y -13.70 µm are in force' in out
+        assert 'although Y -13.70 um are in force' in out
 
 
 @pytest.mark.parametrize(('offset', 'includes'), [(None, False), (0.0, False), (4e-6, True)])

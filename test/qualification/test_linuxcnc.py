@@ -209,7 +209,7 @@ def test_soft_limit(rig):
     rig.controller.line('G53 G0 Z199.98')
     rig.command((0, 0, 50), reference=(0, 0, 0.19998))
     rig.until(lambda: rig.last.at_limit[2], 'the limit is told')
-    rig.until(lambda: 'a soft limit cuts Z 50.00 µm to Z 20' in rig.last.reason, 'why')
+    rig.until(lambda: 'a soft limit cuts Z 50.00 um to Z 20' in rig.last.reason, 'why')
     rig.controller.line('G53 G0 Z0')
     rig.command((0, 0, 50))
     rig.until(lambda: rig.at((0, 0, 50)) and not rig.last.at_limit.any(), 'in full')

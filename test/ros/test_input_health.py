@@ -62,7 +62,7 @@ def test_late_read_back_with_an_offset_is_an_error_within_seconds():
     assert read_back(merger, 4.2).level is Level.OK
     item = read_back(merger, 5.8)
     assert item.level is Level.ERROR
-    assert item.message.startswith('late: newest is 2.0 s old, usual interval 0.2 s; Z 5.00 µm')
+    assert item.message.startswith('late: newest is 2.0 s old, usual interval 0.2 s; Z 5.00 um')
 
 
 def test_late_read_back_of_zero_is_a_warning():
