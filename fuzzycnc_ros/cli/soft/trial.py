@@ -188,7 +188,8 @@ def measure(
     """
     import numpy as np
 
-    from fuzzycnc_ros.studies.soft.foam_records import first_named
+    from fuzzycnc_ros.core.names import first_names
+    from fuzzycnc_ros.studies.soft.foam_records import NAMED
     from fuzzycnc_ros.studies.soft.sheet_marks import read_marks
     from fuzzycnc_ros.studies.soft.sheet_photo import (
         MARKS_OFF,
@@ -234,7 +235,7 @@ def measure(
             'note: the marks do not lie where they should; is the sheet flat, and the file theirs?'
         )
     if lost:
-        say(f'not found: {len(lost)} of {seen + len(lost)} stitches: {first_named(lost)}')
+        say(f'not found: {len(lost)} of {seen + len(lost)} stitches: {first_names(lost, NAMED)}')
     say(f'{seen} stitches, {1e3 * rms:.3f} mm rms off the design')
     rows = ['x_mm,y_mm,stitched_x_mm,stitched_y_mm,offset_x_mm,offset_y_mm,jump,found']
     for run, (plan, command) in enumerate(zip(planned, commanded, strict=True)):

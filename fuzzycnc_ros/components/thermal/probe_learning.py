@@ -19,10 +19,9 @@ from fuzzycnc_ros.components.thermal.predictor_stream import ProbedError
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.thermal.band import WIDTH
 from fuzzycnc_ros.core.thermal.confirmation import is_right, is_wrong, judged
-from fuzzycnc_ros.core.thermal.learning import Basis, Learner, Verdict
+from fuzzycnc_ros.core.thermal.learning import Learner, Verdict
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.places import channel_spans, motion_of
-from fuzzycnc_ros.core.thermal.screw_growth import screws_of
 from fuzzycnc_ros.runtime.component import Health, Level
 from fuzzycnc_ros.runtime.enums import ForgetMode
 from fuzzycnc_ros.runtime.records import (
@@ -71,15 +70,11 @@ class ProbeLearning:
         self._share = np.ones(len(model.channel))
         """Share of the model's prediction in an error, shape (c,) [-]."""
         self._learner: Learner | None = None
-        if config.learn and model.prior is not None:
-            self._learner = model.prior.learner(model.channel)
-            self._share = np.array(model.prior.share)
-        elif config.learn:
-            screws = screws_of(model.channel)
-            basis = Basis(len(model.inputs), True, model.interval, screws=screws)
-            self._learner = Learner(basis, model.channel)
-        if self._learner is not None:
+        if config.learn:
+            self._learner = model.learner()
             self._fresh = self._learner.memory
+            if model.prior is not None:
+                self._share = np.array(model.prior.share)
         channels = len(model.channel)
         self._jump = Fade(np.zeros(channels))
         """Error published minus error known: what the last probes changed, on its way to zero."""

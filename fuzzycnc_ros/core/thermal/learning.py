@@ -178,11 +178,10 @@ class Basis:
         """
         lags = state[: len(self._share)]
         lags = lags + self._share * (self._drive(rise, np.asarray(speed)) - lags)
-        screws = np.split(state[len(lags) :], len(self.screws)) if self.screws else []
-        moved = np.zeros((len(screws), 4)) if motion is None else motion
+        moved = np.zeros((len(self.screws), 4)) if motion is None else motion
         after = [
             screw.step(warm, self.interval, of_axis)
-            for screw, warm, of_axis in zip(self.screws, screws, moved, strict=True)
+            for (screw, warm), of_axis in zip(self._screws_in(state), moved, strict=True)
         ]
         state = np.concatenate([lags, *after])
         return self.features_of(rise, state), state
@@ -191,12 +190,15 @@ class Basis:
         """Return the features (p,) of rises (s,) [K] and a state (q,)."""
         count = len(self._share)
         of_rises = len(self.lags) * self.sensors
-        screws = np.split(state[count:], len(self.screws)) if self.screws else []
         grown = [
-            RISE_UNIT / GROWTH_UNIT * screw.growths(warm)
-            for screw, warm in zip(self.screws, screws, strict=True)
+            RISE_UNIT / GROWTH_UNIT * screw.growths(warm) for screw, warm in self._screws_in(state)
         ]
         return np.concatenate([rise, state[:of_rises], *grown, state[of_rises:count]])
+
+    def _screws_in(self, state: Array) -> list[tuple[ScrewGrowth, Array]]:
+        """Return each screw with its part of a state (q,)."""
+        parts = state[len(self._share) :].reshape(len(self.screws), ScrewGrowth.STATES)
+        return list(zip(self.screws, parts, strict=True))
 
     @cached_property
     def _share(self) -> Array:

@@ -31,6 +31,7 @@ from fuzzycnc_ros.core.thermal.candidate import (
 from fuzzycnc_ros.core.thermal.cold_start import ColdStart
 from fuzzycnc_ros.core.thermal.domain import Domain
 from fuzzycnc_ros.core.thermal.fingerprint import Fingerprint
+from fuzzycnc_ros.core.thermal.learning import Basis, Learner
 from fuzzycnc_ros.core.thermal.prior import LearningPrior
 from fuzzycnc_ros.core.thermal.recursions.base import (
     BOUND_MAX,
@@ -56,6 +57,7 @@ from fuzzycnc_ros.core.thermal.run import (
     driver_known,
     speed_drive,
 )
+from fuzzycnc_ros.core.thermal.screw_growth import screws_of
 from fuzzycnc_ros.core.thermal.sensor_watch import InputCluster, InputSelection, SensorWatchModel
 
 REFERENCE_RULE = 'mean of the first three samples'
@@ -439,6 +441,19 @@ class ThermalModel:
         """
         samples = np.asarray(rise, dtype=np.float64)
         return self.band.at(self.distance(samples))
+
+    def learner(self) -> Learner:
+        """Return a learner that begins with what calibration runs taught, or with nothing.
+
+        Raises
+        ------
+        ValueError
+            If there are more inputs than can be learnt from.
+        """
+        if self.prior is not None:
+            return self.prior.learner(self.channel)
+        screws = screws_of(self.channel)
+        return Learner(Basis(len(self.inputs), True, self.interval, screws=screws), self.channel)
 
     def with_interval(self, interval: float) -> 'ThermalModel':
         """Return the model for another sampling interval [s], with the same time constants.

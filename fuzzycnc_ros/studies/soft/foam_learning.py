@@ -20,7 +20,8 @@ from fuzzycnc_ros.core.deformation.compensation import OffsetPath, learn_offsets
 from fuzzycnc_ros.core.deformation.model import GAIN_MAX, GAIN_MIN, DeformationModel
 from fuzzycnc_ros.core.deformation.offset_file import SAME_POINT, StitchOffsets
 from fuzzycnc_ros.core.deformation.samples import RecordedPath
-from fuzzycnc_ros.studies.soft.foam_records import Samples, first_named
+from fuzzycnc_ros.core.names import first_names
+from fuzzycnc_ros.studies.soft.foam_records import NAMED, Samples
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +81,7 @@ class Learnt:
         if self.outliers:
             lines.append(
                 f'left out: {len(self.outliers)} stitches that lie far off their neighbours: '
-                f'{first_named(self.outliers)}'
+                f'{first_names(self.outliers, NAMED)}'
             )
         if not self.believed.corrects:
             lines.append(

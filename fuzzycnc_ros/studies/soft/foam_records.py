@@ -267,12 +267,6 @@ NAMED = 10
 """Outliers that are named one by one."""
 
 
-def first_named(places: Sequence[str]) -> str:
-    """Return the first `NAMED` places in words, and how many more there are."""
-    more = f' and {len(places) - NAMED} more' if len(places) > NAMED else ''
-    return f'{", ".join(places[:NAMED])}{more}'
-
-
 @dataclass(frozen=True, eq=False)
 class Samples:
     """Samples and what is to be said of them.

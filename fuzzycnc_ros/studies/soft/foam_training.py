@@ -27,8 +27,9 @@ from fuzzycnc_ros.core.deformation.regression import (
     ridge_regression,
 )
 from fuzzycnc_ros.core.deformation.training import beyond_chance, grouped_folds
+from fuzzycnc_ros.core.names import first_names
 from fuzzycnc_ros.core.threads import single_threaded
-from fuzzycnc_ros.studies.soft.foam_records import Samples, first_named
+from fuzzycnc_ros.studies.soft.foam_records import NAMED, Samples
 
 Predictor = Callable[[Array], Array]
 Trainer = Callable[[Array, Array, NDArray[np.int64]], Predictor]
@@ -330,7 +331,7 @@ def _outlier_lines(samples: Samples, out: NDArray[np.bool_]) -> list[str]:
         return []
     return [
         f'left out: {len(places)} of {len(out)} samples that contradict the others: '
-        f'{first_named(places)}'
+        f'{first_names(places, NAMED)}'
     ]
 
 

@@ -11,10 +11,9 @@ import numpy as np
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.thermal.blank import blank_model
 from fuzzycnc_ros.core.thermal.confirmation import is_right, is_wrong
-from fuzzycnc_ros.core.thermal.learning import RISE_UNIT, Basis, Knowledge, Learner
+from fuzzycnc_ros.core.thermal.learning import RISE_UNIT, Basis, Knowledge
 from fuzzycnc_ros.core.thermal.model import ModelMismatchError, ThermalModel
 from fuzzycnc_ros.core.thermal.prior import LearningPrior
-from fuzzycnc_ros.core.thermal.screw_growth import screws_of
 from fuzzycnc_ros.runtime.records import ThermalPosterior
 from fuzzycnc_ros.studies.page.table import Column, Table
 from fuzzycnc_ros.studies.thermal.summary import micrometres
@@ -98,12 +97,7 @@ def memory_of(name: str, posterior: ThermalPosterior, model: ThermalModel | None
             f'{name}: expected what was learnt beside the model {model.hash[:12]}, but found '
             f'{posterior.model_hash[:12]}; name the file of that model with --model'
         )
-    if model.prior is not None:
-        learner = model.prior.learner(model.channel)
-    else:
-        screws = screws_of(model.channel)
-        basis = Basis(len(model.inputs), True, model.interval, screws=screws)
-        learner = Learner(basis, model.channel)
+    learner = model.learner()
     learner.memory = posterior.memory
     known = tuple(item.knowledge() for item in learner.posteriors)
     return Memory(name, posterior, model, learner.basis, known)
