@@ -25,7 +25,6 @@ from fuzzycnc_ros.components.thermal.control_drives import ControlDrives
 from fuzzycnc_ros.components.thermal.kept_samples import KeptSamples
 from fuzzycnc_ros.components.thermal.thermal_predictor_config import ThermalPredictorConfig
 from fuzzycnc_ros.core.thermal.blank import blank_model
-from fuzzycnc_ros.core.thermal.learning import Basis
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 from fuzzycnc_ros.core.thermal.places import (
     channel_spans,
@@ -544,10 +543,11 @@ class PredictorStream:
         inputs = [name for name in wanted if np.isfinite(zero.get(name, np.nan))]
         try:
             interval = round(spacing / SECOND, 3)
-            Basis(len(inputs), True, interval)
             axes = self.config.learn_axes
             spans = read_places(self.config.learn_places, axes, 'learn_places')
-            return blank_model(inputs, sloping_channels(axes, spans), interval)
+            model = blank_model(inputs, sloping_channels(axes, spans), interval)
+            model.learner()  # it refuses more inputs than can be learnt from
+            return model
         except ValueError as error:
             self.awaited = f'learning from nothing: {error}'
             return None

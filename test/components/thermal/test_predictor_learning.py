@@ -365,6 +365,18 @@ def test_too_many_sensors_are_refused_until_some_are_chosen():
     assert 'learning from nothing: sensors: expected 1 to 85' in bench.health()
 
 
+def test_the_screws_of_axes_leave_room_for_fewer_sensors():
+    run = recordings()['T3']
+    many = replace(
+        run,
+        sensor=tuple(f'S{number}' for number in range(80)),
+        temperature=np.repeat(run.temperature[:, :1], 80, axis=1),
+    )
+    bench, errors = from_nothing(many, range(12), learn_places=('Y:-0.5:0', 'Z:-0.5:0'))
+    assert not errors[-1].valid
+    assert 'learning from nothing: sensors: expected 1 to 69' in bench.health()
+
+
 def test_the_axes_that_are_learnt_can_be_chosen():
     run = recordings()['T3']
     _, errors = from_nothing(run, range(12), learn_axes=['Z'])
