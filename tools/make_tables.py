@@ -21,19 +21,21 @@ sys.path.insert(0, str(ROOT))
 from fuzzycnc_ros.core.config import Config  # noqa: E402
 from fuzzycnc_ros.graph.bring_up import LAUNCH_ARGUMENTS, RestartPolicy  # noqa: E402
 from fuzzycnc_ros.registry import COMPONENTS  # noqa: E402
-from fuzzycnc_ros.runtime.component import LATCHED, STREAM, Durability  # noqa: E402
-from fuzzycnc_ros.runtime.host import (  # noqa: E402
+from fuzzycnc_ros.ros.node_config import (  # noqa: E402
     DashboardConfig,
-    DeadlineFired,
     HostConfig,
-    MachineTick,
     MqttPublisherConfig,
     MtconnectAdapterConfig,
-    NodeConfiguration,
-    NodeEvent,
     OpcuaServerConfig,
     PlayerConfig,
     RecorderConfig,
+)
+from fuzzycnc_ros.runtime.component import LATCHED, STREAM, Durability  # noqa: E402
+from fuzzycnc_ros.runtime.host import (  # noqa: E402
+    DeadlineFired,
+    MachineTick,
+    NodeConfiguration,
+    NodeEvent,
     RecorderProgress,
     TickAnswer,
 )

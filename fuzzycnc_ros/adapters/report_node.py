@@ -14,10 +14,10 @@ from rclpy.node import Node
 from fuzzycnc_ros.components.report.machine_report import SOURCES, MachineReport
 from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.configured_node import ConfiguredNode
+from fuzzycnc_ros.ros.node_config import ExecutorConfig
 from fuzzycnc_ros.ros.topics import create_subscription, subscription_qos
 from fuzzycnc_ros.runtime.component import STREAM, Health, Level
 from fuzzycnc_ros.runtime.convert import decode
-from fuzzycnc_ros.runtime.host import ExecutorConfig
 
 PERIOD = 1.0
 """Wall time [s] between two reports."""

@@ -25,12 +25,12 @@ from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.health import diagnostic_array
 from fuzzycnc_ros.ros.machine_watch import DISCOVERY_PERIOD, MachineWatch
+from fuzzycnc_ros.ros.node_config import OWN_FOLDER, DashboardConfig
 from fuzzycnc_ros.ros.parameters import ParameterError, declare
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.run import tell_error
 from fuzzycnc_ros.runtime.addresses import is_loopback
 from fuzzycnc_ros.runtime.component import Health, Level
-from fuzzycnc_ros.runtime.host import OWN_FOLDER, DashboardConfig
 from fuzzycnc_ros.runtime.records import nanoseconds
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from rclpy.node import Node
 from fuzzycnc_ros.adapters.report_node import ReportNode
 from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.clocks import wall_timer
+from fuzzycnc_ros.ros.node_config import MqttPublisherConfig
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.runtime.component import Health
-from fuzzycnc_ros.runtime.host import MqttPublisherConfig
 
 TURN = 0.1
 """Wall time [s] between two looks at what the broker has confirmed."""

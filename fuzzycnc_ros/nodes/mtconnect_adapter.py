@@ -12,8 +12,8 @@ from fuzzycnc_ros.adapters.report_node import ReportNode
 from fuzzycnc_ros.components.report.shdr import Shdr
 from fuzzycnc_ros.files.atomic import write_regular
 from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.node_config import MtconnectAdapterConfig
 from fuzzycnc_ros.runtime.component import Health, Level
-from fuzzycnc_ros.runtime.host import MtconnectAdapterConfig
 
 SETTLED = 5
 """Reports without a new data item after which the file of devices is written."""

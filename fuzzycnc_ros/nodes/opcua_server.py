@@ -10,10 +10,10 @@ from rclpy.node import Node
 from fuzzycnc_ros.adapters.report_node import ReportNode
 from fuzzycnc_ros.bags.secret_file import check_secret
 from fuzzycnc_ros.ros import run
+from fuzzycnc_ros.ros.node_config import OpcuaServerConfig
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.runtime.addresses import is_loopback
 from fuzzycnc_ros.runtime.component import Health
-from fuzzycnc_ros.runtime.host import OpcuaServerConfig
 
 
 class OpcuaServerNode(ReportNode[OpcuaServerConfig]):

@@ -30,12 +30,12 @@ from fuzzycnc_ros.ros import run
 from fuzzycnc_ros.ros.bag_node import bag_refused, closed_on_failure, pattern
 from fuzzycnc_ros.ros.clocks import wall_timer
 from fuzzycnc_ros.ros.configured_node import ConfiguredNode
+from fuzzycnc_ros.ros.node_config import PlayerConfig
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.ros.presence import check_alone
 from fuzzycnc_ros.ros.run import tell_error
 from fuzzycnc_ros.ros.topics import RCLPY, message_class, publisher_qos, routes_matched
 from fuzzycnc_ros.runtime.component import STREAM, Health, Level
-from fuzzycnc_ros.runtime.host import PlayerConfig
 from fuzzycnc_ros.runtime.records import SECOND, nanoseconds
 
 POLL = 0.005

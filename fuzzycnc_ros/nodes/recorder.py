@@ -32,6 +32,7 @@ from fuzzycnc_ros.ros.bag_node import bag_refused, check_keeping, closed_on_fail
 from fuzzycnc_ros.ros.clocks import LogClock, SteadyClock, wall_timer
 from fuzzycnc_ros.ros.configured_node import ConfiguredNode
 from fuzzycnc_ros.ros.executor import hand_over
+from fuzzycnc_ros.ros.node_config import RecorderConfig
 from fuzzycnc_ros.ros.parameters import ParameterError
 from fuzzycnc_ros.ros.run import tell_error
 from fuzzycnc_ros.ros.topics import (
@@ -44,7 +45,7 @@ from fuzzycnc_ros.ros.topics import (
 from fuzzycnc_ros.ros.turn_taker import TurnTaker
 from fuzzycnc_ros.runtime.component import STREAM, Health, Level
 from fuzzycnc_ros.runtime.convert import encode
-from fuzzycnc_ros.runtime.host import NodeConfiguration, RecorderConfig, RecorderProgress
+from fuzzycnc_ros.runtime.host import NodeConfiguration, RecorderProgress
 from fuzzycnc_ros.runtime.records import (
     SECOND,
     Displacement,

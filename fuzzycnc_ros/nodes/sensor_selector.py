@@ -18,7 +18,7 @@ class SensorSelectorNode(ComponentNode):
 
     def __init__(self, node: Node) -> None:
         super().__init__(node, SensorSelector)
-        self.component.run_reader = read_run
+        self.component.prepare('', read_run)
         node.create_service(SelectSensors, 'select_sensors', self._on_select)
 
     def _on_select(

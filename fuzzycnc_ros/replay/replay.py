@@ -28,8 +28,6 @@ from fuzzycnc_ros.bags.recording_loss import publishers
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.bags.storage import RawMessage
 from fuzzycnc_ros.bags.typestore import ROSBAGS, deserialize
-from fuzzycnc_ros.components.thermal.sensor_selector import SensorSelector
-from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.replay.origins import REPLAYABLE, Origins
@@ -584,8 +582,6 @@ class _ComponentReplay:
         kind = COMPONENTS[node]
         self._component: Component = kind(_config(kind, configurations[0]))
         self._component.machine = configurations[0].frame_id.split('/')[0]
-        if isinstance(self._component, SensorSelector):
-            self._component.run_reader = read_run
         self._merger = _BoundedMerger(self._component)
         self.outputs: dict[str, list[_Output]] = {
             f'{self._space}/{item.name}': [] for item in kind.OUTPUTS
@@ -616,9 +612,8 @@ class _ComponentReplay:
                 known += [record for record in told if record.stamp < began]
             for record in known:
                 component.restore(item.name, record)
-        if isinstance(component, ThermalPredictor) and first.model:
-            component.use_model(first.model)
-        elif late and first.model:
+        component.prepare(first.model, read_run)
+        if late and first.model and component.model_text != first.model:
             component.on_request('use_model', {'model': first.model}, first.stamp)
         if late and component.MANAGED and first.lifecycle_state == 'active':
             component.on_request('activate', {}, first.stamp)

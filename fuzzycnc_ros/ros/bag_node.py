@@ -9,8 +9,8 @@ from typing import Protocol
 
 from fuzzycnc_ros.bags.errors import BagError
 from fuzzycnc_ros.bags.shipping import file_system
+from fuzzycnc_ros.ros.node_config import RecorderConfig
 from fuzzycnc_ros.ros.parameters import ParameterError
-from fuzzycnc_ros.runtime.host import RecorderConfig
 
 
 class Closing(Protocol):

@@ -9,9 +9,9 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
 from fuzzycnc_ros.ros.health import diagnostic_array
+from fuzzycnc_ros.ros.node_config import ExecutorConfig
 from fuzzycnc_ros.ros.parameters import declare
 from fuzzycnc_ros.runtime.component import Health
-from fuzzycnc_ros.runtime.host import ExecutorConfig
 
 C = TypeVar('C', bound=ExecutorConfig)
 

@@ -19,6 +19,7 @@ from rclpy.parameter import Parameter
 from fuzzycnc_ros.ros.clocks import SteadyClock, stamp_ahead_max, wall_timer
 from fuzzycnc_ros.ros.command_watch import CommandWatch
 from fuzzycnc_ros.ros.health import Activity, diagnostic_array, input_health
+from fuzzycnc_ros.ros.node_config import HostConfig
 from fuzzycnc_ros.ros.parameters import ParameterError, changed, declare, refusal
 from fuzzycnc_ros.ros.presence import check_alone
 from fuzzycnc_ros.ros.state_file import StateDirectory, StateFileError
@@ -44,7 +45,7 @@ from fuzzycnc_ros.runtime.component import (
     Output,
 )
 from fuzzycnc_ros.runtime.convert import decode, encode
-from fuzzycnc_ros.runtime.host import DeadlineFired, HostConfig, NodeConfiguration, NodeEvent
+from fuzzycnc_ros.runtime.host import DeadlineFired, NodeConfiguration, NodeEvent
 from fuzzycnc_ros.runtime.merge import Merger
 from fuzzycnc_ros.runtime.provenance import (
     CLOCK_STEP,

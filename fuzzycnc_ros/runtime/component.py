@@ -8,7 +8,7 @@ in-process graph, in a bag replay and in offline evaluation.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import Any, ClassVar, Generic, TypeVar, cast
@@ -210,6 +210,17 @@ class Component(Generic[ConfigT]):
             found = type(config).__name__
             raise TypeError(f'expected {self.CONFIG.__name__} but found {found}')
         self._config = config
+
+    def prepare(self, model: str, run_reader: Callable[..., Any]) -> None:
+        """Take what a host has for it before the first record; most components need nothing.
+
+        Parameters
+        ----------
+        model : str
+            Text of the model file to begin with, empty for none.
+        run_reader : callable
+            Reads a bag as a run, as `bags.runs.read_run` does.
+        """
 
     @property
     def next_deadline(self) -> int | None:

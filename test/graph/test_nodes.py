@@ -17,8 +17,7 @@ from tiers import rest_slow
 from fuzzycnc_ros.bags.writer import BagWriter
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.registry import COMPONENTS
-from fuzzycnc_ros.ros.presence import TAKEOVER
-from fuzzycnc_ros.runtime.host import (
+from fuzzycnc_ros.ros.node_config import (
     HostConfig,
     MqttPublisherConfig,
     MtconnectAdapterConfig,
@@ -26,6 +25,7 @@ from fuzzycnc_ros.runtime.host import (
     PlayerConfig,
     RecorderConfig,
 )
+from fuzzycnc_ros.ros.presence import TAKEOVER
 
 pytestmark = pytest.mark.ros
 

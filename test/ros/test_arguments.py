@@ -9,7 +9,7 @@ import yaml
 
 from fuzzycnc_ros.components.thermal.compensator import Compensator
 from fuzzycnc_ros.registry import COMPONENTS
-from fuzzycnc_ros.runtime.host import HostConfig
+from fuzzycnc_ros.ros.node_config import HostConfig
 
 pytestmark = pytest.mark.ros
 

@@ -16,8 +16,8 @@ from rclpy.parameter import Parameter, parameter_dict_from_yaml_file  # noqa: E4
 
 from fuzzycnc_ros.nodes.compensator import make  # noqa: E402
 from fuzzycnc_ros.registry import COMPONENTS  # noqa: E402
+from fuzzycnc_ros.ros.node_config import RecorderConfig  # noqa: E402
 from fuzzycnc_ros.ros.parameters import KEEPS_ITS_CLOCK, declare  # noqa: E402
-from fuzzycnc_ros.runtime.host import RecorderConfig  # noqa: E402
 
 
 @pytest.fixture(autouse=True)

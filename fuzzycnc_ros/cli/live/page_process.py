@@ -18,7 +18,7 @@ from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.runtime.addresses import is_loopback
 
 if TYPE_CHECKING:
-    from fuzzycnc_ros.runtime.host import DashboardConfig
+    from fuzzycnc_ros.ros.node_config import DashboardConfig
 
 Page = Annotated[
     Optional[int],  # noqa: UP045 - typer 0.9 does not read the newer form
@@ -66,7 +66,7 @@ def page_process(
         yield None
         return
     # On use: it brings numpy, which no help needs.
-    from fuzzycnc_ros.runtime.host import DashboardConfig
+    from fuzzycnc_ros.ros.node_config import DashboardConfig
 
     with GraphProcesses('', folder=log, params=params) as page:
         spec = page_spec(port or None, record, sections(params))
@@ -100,7 +100,7 @@ def page_beside(console: Console, port: int | None, record: Path, log: Path) -> 
 
 def _greeting(config: 'DashboardConfig', log: Path) -> Iterator[str]:
     """Say where the page is, and what acting and recording need there."""
-    from fuzzycnc_ros.runtime.host import OWN_FOLDER
+    from fuzzycnc_ros.ros.node_config import OWN_FOLDER
 
     open_to_others = not is_loopback(config.listen)
     shown = f'[{config.listen}]' if ':' in config.listen else config.listen

@@ -17,11 +17,11 @@ from fuzzycnc_ros.graph.bring_up import PAGE, NodeSpec
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.ros.arguments import understood
 from fuzzycnc_ros.ros.bag_node import check_keeping
+from fuzzycnc_ros.ros.node_config import DashboardConfig, HostConfig, RecorderConfig
 from fuzzycnc_ros.ros.parameters import ParameterError, declare
 from fuzzycnc_ros.ros.presence import GraphError
 from fuzzycnc_ros.ros.processes import RANGE, prepare_environment
 from fuzzycnc_ros.ros.state_file import StateDirectory, StateFileError
-from fuzzycnc_ros.runtime.host import DashboardConfig, HostConfig, RecorderConfig
 from fuzzycnc_ros.web.keys import check_pair, read_token
 
 

@@ -133,7 +133,7 @@ def install(
         _parse('record', ['--out', str(record / 'bag'), *recorded])
         units.append(record_unit(place, machine, record, recorded))
     if page is not None:
-        from fuzzycnc_ros.runtime.host import DashboardConfig
+        from fuzzycnc_ros.ros.node_config import DashboardConfig
 
         units.append(page_unit(place, page or DashboardConfig().port, record))
     if dry_run:

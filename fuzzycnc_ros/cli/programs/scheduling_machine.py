@@ -168,7 +168,7 @@ def _made(
     reading: YamlReading, kind: type[SomeConfig], section: Mapping[str, Entry]
 ) -> SomeConfig:
     """Return the configuration of a section; parameters of every node are for somebody else."""
-    from fuzzycnc_ros.runtime.host import HostConfig
+    from fuzzycnc_ros.ros.node_config import HostConfig
 
     own, others = ({item.name for item in fields(one)} for one in (kind, HostConfig))
     reading.known(

@@ -87,9 +87,13 @@ class SensorSelector(Component[SensorSelectorConfig]):
         super().__init__(config)
         SensorLimits.of(self._config.sensor_limits)  # refused before it is asked for
         self.run_reader: RunReader | None = None
-        """Reads calibration bags; the host sets it."""
+        """Reads calibration bags; `prepare` sets it."""
         self._samples = KeptSamples[tuple[Temperatures, Displacement]](lambda pair: pair[0])
         self._selection: SensorSelection | None = None
+
+    def prepare(self, model: str, run_reader: RunReader) -> None:
+        """Take the reader of calibration bags."""
+        self.run_reader = run_reader
 
     def on_temperatures(self, sample: Temperatures) -> Iterable[Emission]:
         """Keep the sample if its displacement was measured with it."""

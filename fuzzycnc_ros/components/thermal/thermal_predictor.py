@@ -7,7 +7,7 @@ thermal reference, and the history since then.  Where one is missing it says so 
 invalid error.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -323,6 +323,11 @@ class ThermalPredictor(Component[ThermalPredictorConfig]):
         history.begin()
         self._named = True
         return self._swap.add(history)
+
+    def prepare(self, model: str, run_reader: Callable[..., Any]) -> None:
+        """Put the model to use that the run begins with."""
+        if model:
+            self.use_model(model)
 
     def on_request(self, name: str, arguments: Mapping[str, Any], stamp: int) -> Answer:
         """Go on with another model by `use_model`, know less by `forget`."""
