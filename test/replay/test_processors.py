@@ -85,7 +85,7 @@ def test_every_bag_replays_identical(recorded, expected, settings):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('settings', ['C library without FMA', 'Haswell', 'oldest'])
+@pytest.mark.parametrize('settings', ['C library without FMA', 'oldest'])
 def test_every_scenario_is_the_same_anew(recorded, settings):
     """Machines too, which no replay recomputes."""
     models, made = recorded
