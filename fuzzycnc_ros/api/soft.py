@@ -40,6 +40,7 @@ from fuzzycnc_ros.core.deformation.soft_model import (
     write_soft_model,
 )
 from fuzzycnc_ros.core.deformation.stitch_path import Primitive, SheetMaterial, StitchPath
+from fuzzycnc_ros.core.encodings import decoded
 from fuzzycnc_ros.files.atomic import write_text
 from fuzzycnc_ros.studies.soft.foam_learning import learn_track
 from fuzzycnc_ros.studies.soft.foam_records import array_samples, recorded_run
@@ -185,10 +186,10 @@ def read_model(path: str | os.PathLike[str]) -> SoftModel:
     ------
     OSError
         If the file cannot be read.
-    ModelFileError
-        If it holds no usable model and no offsets.
+    ValueError
+        If it is no text, or holds no usable model and no offsets.
     """
-    return read_soft_model(Path(path).read_text(encoding='utf-8'))
+    return read_soft_model(decoded(Path(path).read_bytes()))
 
 
 def save_model(model: SoftModel, path: str | os.PathLike[str]) -> None:

@@ -32,6 +32,7 @@ from fuzzycnc_ros.bags.csv_time import (
     zone_of,
 )
 from fuzzycnc_ros.bags.errors import BagError, CsvError
+from fuzzycnc_ros.core.encodings import decoded, is_utf8
 from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.core.remedies import options_as
 from fuzzycnc_ros.core.thermal.run import JITTER_MAX, SAMPLES_MIN
@@ -39,12 +40,7 @@ from fuzzycnc_ros.core.thermal.spacing import sample_interval
 from fuzzycnc_ros.core.units import TIMES
 from fuzzycnc_ros.files.os_errors import os_sentence
 
-_ENCODINGS = ('cp1252', 'latin-1', 'utf-16')
-"""Encodings tried where a file is not UTF-8, that of Excel on Windows first."""
-
 _WORKBOOKS = (b'PK\x03\x04', b'\xd0\xcf\x11\xe0')
-_UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-_WIDE = ('utf-16', 'utf-32')  # encodings with zero bytes in plain text
 
 _DELIMITERS = (';', '\t', ',')
 _EXCEL = re.compile(r'"?sep=(.)"?', re.IGNORECASE)  # it takes this line for an instruction
@@ -632,52 +628,20 @@ def _read_text(path: Path, encoding: str) -> str:
         raise CsvError(
             f'{path}: expected a CSV file but found a workbook; save its sheet as CSV (UTF-8)'
         )
-    if not codec.startswith(_WIDE):
-        if _looks_wide(data):
-            raise CsvError(
-                f'{path}: expected text in {encoding} but found what looks like UTF-16; import '
-                'with --encoding utf-16'
-            )
-        place = data.find(b'\0')
-        if place >= 0:
-            line, number = data.count(b'\n', 0, place) + 1, data.count(0)
-            found = 'a zero byte' if number == 1 else f'{number} zero bytes, the first one'
-            raise CsvError(
-                f'{path}, line {line}: expected text but found {found} as byte {place}, as a torn '
-                'write leaves them; delete what is damaged'
-            )
-    if not codec.startswith('utf') and not data.isascii() and _is_utf8(data):
+    if not codec.startswith('utf') and not data.isascii() and is_utf8(data):
         raise CsvError(
             f'{path}: expected text in {encoding} but it is UTF-8; import without --encoding'
         )
     try:
-        text = data.decode(encoding)
-    except UnicodeDecodeError as error:
-        line = data.count(b'\n', 0, error.start) + 1
-        byte = data[error.start : error.start + 1]
-        others = [name for name in _ENCODINGS if name != encoding]
-        raise CsvError(
-            f'{path}, line {line}: expected text in {encoding} but byte {error.start} is '
-            f'0x{byte.hex()}, in cp1252 {byte.decode("cp1252", "replace")!r}; import with '
-            f'--encoding {others[0]}, or else {" or ".join(others[1:])}'
-        ) from error
-    except UnicodeError as error:
-        raise CsvError(f'{path}: expected text in {encoding} but found {error}') from error
-    return text.removeprefix('\ufeff')
+        return decoded(data, encoding, remedy=_import_with)
+    except ValueError as error:
+        comma = ', ' if str(error).startswith('line') else ': '
+        raise CsvError(f'{path}{comma}{error}') from error
 
 
-def _looks_wide(data: bytes) -> bool:
-    """Return whether every other byte is zero, as of plain text in UTF-16."""
-    zeros = sorted((data[::2].count(0), data[1::2].count(0)))
-    return data.startswith(_UTF16_MARKS) or (zeros[1] > len(data) // 4 and zeros[0] < zeros[1] / 4)
-
-
-def _is_utf8(data: bytes) -> bool:
-    try:
-        data.decode()
-    except UnicodeDecodeError:
-        return False
-    return True
+def _import_with(likely: Sequence[str]) -> str:
+    others = ', or else ' * (len(likely) > 1) + ' or '.join(likely[1:])
+    return f'import with --encoding {likely[0]}{others}'
 
 
 def read_sensor_table(

@@ -303,7 +303,15 @@ def _drop_unwritten() -> None:
 
 
 class _RemedyCommand(TyperCommand):
-    """A command that says what helps in its own options."""
+    """A command that says what helps in its own options and manual."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Take the words of the command line; the parser does not say whose options it refuses."""
+        try:
+            return super().parse_args(ctx, args)
+        except _Refusal as error:
+            error.ctx = getattr(error, 'ctx', None) or ctx  # type: ignore[attr-defined]
+            raise
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from fuzzycnc_ros.core.config import Config
+from fuzzycnc_ros.core.encodings import decoded
 from fuzzycnc_ros.core.names import repeated_names
 from fuzzycnc_ros.core.units import si_value
 from fuzzycnc_ros.files.os_errors import os_sentence
@@ -64,7 +65,7 @@ def compose(path: Path, wanted: str) -> Any:
     if not stat.S_ISREG(status.st_mode) or status.st_size > SIZE_MAX:
         raise ValueError(f'{path}: expected {wanted}, a file of at most {SIZE_MAX} bytes')
     try:
-        text = path.read_text(encoding='utf-8')
+        text = decoded(path.read_bytes())
         depth = 0
         for event in yaml.parse(text, Loader=yaml.SafeLoader):
             depth += isinstance(event, yaml.CollectionStartEvent)

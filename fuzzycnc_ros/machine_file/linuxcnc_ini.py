@@ -13,6 +13,7 @@ from math import inf, isfinite
 from pathlib import Path
 from types import MappingProxyType
 
+from fuzzycnc_ros.core.encodings import decoded
 from fuzzycnc_ros.files.os_errors import os_sentence
 
 SIZE_MAX = 1_000_000
@@ -119,9 +120,13 @@ def _text(path: Path) -> str:
             status.st_size > SIZE_MAX
         ):
             raise ValueError(f'{path}: expected a LinuxCNC configuration, a file of at most 1 MB')
-        return path.read_text(encoding='utf-8', errors='replace')
+        data = path.read_bytes()
     except OSError as error:
         raise ValueError(os_sentence(error, path)) from error
+    try:
+        return decoded(data, errors='replace')
+    except ValueError as error:
+        raise ValueError(f'{path}: {error}') from error
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:

@@ -18,6 +18,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from fuzzycnc_ros.core.config import Config
+from fuzzycnc_ros.core.encodings import decoded
 
 A = TypeVar('A', bound=Config)
 B = TypeVar('B', bound=Config)
@@ -239,8 +240,9 @@ def file_text(file: str, size_max: int) -> str:
         If it cannot be read.
     """
     try:
-        with Path(file).expanduser().open(encoding='utf-8') as opened:
-            return opened.read(size_max + 1)
+        with Path(file).expanduser().open('rb') as opened:
+            data = opened.read(4 * size_max + 1)  # characters of four bytes each
+            return decoded(data)[: size_max + 1]
     except OSError as error:
         raise ValueError(error.strerror) from error
     except RuntimeError as error:  # a home folder that nobody has

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.encodings import decoded
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +47,8 @@ def table_cells(path: Path, columns: Sequence[str]) -> tuple[list[str], dict[int
         the file's name.
     """
     try:
-        lines = list(csv.reader(path.read_text(encoding='utf-8-sig').splitlines()))
-    except (UnicodeDecodeError, csv.Error) as error:
+        lines = list(csv.reader(decoded(path.read_bytes()).splitlines()))
+    except csv.Error as error:
         raise ValueError(f'expected a CSV file as text: {error}') from error
     header = [name.strip() for name in lines[0]] if lines else []
     missing = [name for name in columns if name not in header]

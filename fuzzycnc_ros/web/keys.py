@@ -12,6 +12,7 @@ import ssl
 from pathlib import Path
 
 from fuzzycnc_ros.bags.secret_file import check_secret
+from fuzzycnc_ros.core.encodings import decoded
 from fuzzycnc_ros.files.atomic import SECRET_FILE, write_text
 
 TOKEN_LEAST = 16
@@ -48,8 +49,8 @@ def read_token(file: Path) -> str:
     """
     _check_secret(file, 'token')
     try:
-        text = file.read_text(encoding='ascii').strip()
-    except (OSError, UnicodeError) as error:
+        text = decoded(file.read_bytes()).strip()
+    except (OSError, ValueError) as error:
         raise KeyFileError(f'token {file}: expected a readable text but found: {error}') from error
     if len(text) < TOKEN_LEAST or not re.fullmatch(r'[\x21-\x7e]+', text):
         raise KeyFileError(
@@ -86,7 +87,7 @@ def fingerprint(certificate: Path) -> str:
         If it is none.
     """
     try:
-        body = ssl.PEM_cert_to_DER_cert(certificate.read_text(encoding='ascii').strip())
+        body = ssl.PEM_cert_to_DER_cert(decoded(certificate.read_bytes()).strip())
     except (OSError, ValueError) as error:
         raise KeyFileError(
             f'certificate {certificate}: expected PEM but found: {error}'

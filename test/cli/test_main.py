@@ -125,8 +125,13 @@ def test_misspelt_option_gets_a_proposal(refused):
     refused('simulate', '--sede', '3', naming=['--sede', '--seed', 'fuzzycnc simulate --help'])
 
 
-def test_missing_argument(refused):
-    refused('replay', naming=['BAG', 'fuzzycnc replay --help'])
+@pytest.mark.parametrize(
+    ('typed', 'wrong'),
+    [('replay', 'BAG'), ('servo tune --axis', '--axis'), ('up --rate', '--rate')],
+)
+def test_what_is_missing_is_in_the_manual_of_the_command(refused, typed, wrong):
+    command = ' '.join(word for word in typed.split() if not word.startswith('-'))
+    refused(*typed.split(), naming=[wrong, f'; see `fuzzycnc {command} --help`'])
 
 
 @pytest.mark.parametrize('place', [0, 1, 2])

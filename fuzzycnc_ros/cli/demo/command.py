@@ -20,6 +20,7 @@ from fuzzycnc_ros.cli.demo.thermal import thermal
 from fuzzycnc_ros.cli.live.page_process import Page
 from fuzzycnc_ros.cli.programs.program_files import program_lines
 from fuzzycnc_ros.cli.terminal import Terminal
+from fuzzycnc_ros.core.encodings import decoded
 from fuzzycnc_ros.graph.bring_up import BANNER
 from fuzzycnc_ros.ros.presence import GraphError
 
@@ -129,8 +130,9 @@ def _checked_program(path: Path) -> str:
     from fuzzycnc_ros.studies.shift.whole_shift import check_program
 
     with program_lines(path) as file:
-        text = file.read_text(encoding='utf-8', errors='replace')
+        data = file.read_bytes()
     try:
+        text = decoded(data, errors='backslashreplace')
         check_program(text)
     except ValueError as error:
         raise ValueError(f'--program {path}: {error}') from error

@@ -11,6 +11,7 @@ import typer
 from fuzzycnc_ros.cli.axes.servo_axis import FOR_ANY_AXIS
 from fuzzycnc_ros.cli.console import check_new, say, write_text
 from fuzzycnc_ros.cli.options import OptionalPath, OptionalText, choice, given
+from fuzzycnc_ros.core.encodings import decoded
 
 HELP = """Install and check what a LinuxCNC needs for offsets, axis controllers and feed shares.
 
@@ -165,7 +166,12 @@ def drive(
     from fuzzycnc_ros.cli.live.linuxcnc_axis import drive_axis
 
     check_new(out)
-    text = program.read_text() if program is not None else None
+    try:
+        text = (
+            None if program is None else decoded(program.read_bytes(), errors='backslashreplace')
+        )
+    except ValueError as error:
+        raise ValueError(f'--program {program}: {error}') from error
     done = drive_axis(machine_file, axis, controller, params, text, out)
     say(
         f'{out}: {done.controller} in LinuxCNC; following error '

@@ -22,6 +22,7 @@ from fuzzycnc_ros.cli.console import (
 from fuzzycnc_ros.cli.options import ALL, OptionalWhole, Report, given, names_of
 from fuzzycnc_ros.cli.programs.scheduling_machine import Machine, read_machine
 from fuzzycnc_ros.cli.quantities import quantity
+from fuzzycnc_ros.core.encodings import decoded
 from fuzzycnc_ros.core.units import LENGTHS
 
 if TYPE_CHECKING:
@@ -156,8 +157,8 @@ def _path(path: str, run: int | None) -> 'ParetoPath':
             f'{path}: expected {", ".join(CURVES)}, a part program or points as .csv but no such '
             'file exists'
         )
-    text = file.read_bytes().decode(errors='surrogateescape')
     try:
+        text = decoded(file.read_bytes(), errors='surrogateescape')
         return table_path(text) if table else program_path(read_program(text), run)
     except ValueError as error:
         raise ValueError(f'{path}: {error}') from error

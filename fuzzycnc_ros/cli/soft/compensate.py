@@ -31,6 +31,7 @@ from fuzzycnc_ros.cli.programs.program_files import (
     program_lines,
 )
 from fuzzycnc_ros.cli.quantities import quantity
+from fuzzycnc_ros.core.encodings import decoded
 from fuzzycnc_ros.core.units import FEEDS, LENGTHS
 from fuzzycnc_ros.studies.number_table import table_cells
 
@@ -517,6 +518,6 @@ def read_model_file(path: Path) -> 'SoftModel':
     if not path.is_file():
         raise ValueError(f'{path}: expected a model file but found none')
     try:
-        return read_soft_model(path.read_text(encoding='utf-8'))
+        return read_soft_model(decoded(path.read_bytes()))
     except ValueError as error:
         raise ValueError(f'{path}: {error}') from error

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import LENGTH_MIN, NUMBER_MAX, Array
 from fuzzycnc_ros.core.document import ModelFileError, Node, parse_document
+from fuzzycnc_ros.core.encodings import decoded
 from fuzzycnc_ros.core.names import first_names, text_hash
 from fuzzycnc_ros.core.thermal.band import PredictionBand
 from fuzzycnc_ros.core.thermal.candidate import (
@@ -597,13 +598,13 @@ def load_model(source: str | os.PathLike[str]) -> ThermalModel:
             f'{path}: expected a model file, as `fuzzycnc train` writes it, but found a folder'
         )
     try:
-        with path.open(encoding='utf-8') as file:
-            text = file.read(SIZE_MAX + 1)
-    except (OSError, ValueError) as error:
+        with path.open('rb') as file:
+            data = file.read(4 * SIZE_MAX + 1)  # characters of four bytes each
+    except OSError as error:
         raise ModelFileError(f'{path}: expected a readable model file, but: {error}') from error
     try:
-        return ThermalModel.from_json(text)
-    except ModelFileError as error:
+        return ThermalModel.from_json(decoded(data))
+    except ValueError as error:
         raise ModelFileError(f'{path}: {error}') from error
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
+from fuzzycnc_ros.core.encodings import decoded
 from fuzzycnc_ros.files.os_errors import os_sentence
 
 SIZE_MAX = 500_000_000
@@ -133,15 +134,15 @@ def _table(path: Path, *, header_only: bool = False) -> tuple[Array, list[str]]:
     try:
         if path.stat().st_size > SIZE_MAX:
             raise ValueError(f'{path}: expected a file of at most {SIZE_MAX // 10**6} MB')
-        with path.open(encoding='utf-8-sig') as file:
-            lines = [file.readline()] if header_only else file.read().splitlines()
+        with path.open('rb') as file:
+            data = file.readline(SIZE_MAX) if header_only else file.read()
     except OSError as error:
         raise ValueError(os_sentence(error, path)) from error
-    except UnicodeDecodeError as error:
-        raise ValueError(
-            f'{path}: expected a text file with columns but found binary data; save .mat files as '
-            'CSV first'
-        ) from error
+    try:
+        lines = decoded(data).splitlines()
+    except ValueError as error:
+        hint = '; save .mat files as CSV first' if path.suffix.lower() == '.mat' else ''
+        raise ValueError(f'{path}: {error}{hint}') from error
     lines = [line for line in lines if line.strip() and not line.lstrip().startswith('#')]
     if not lines:
         raise ValueError(f'{path}: expected rows of numbers but found an empty file')

@@ -81,7 +81,7 @@ def test_a_model_is_loaded_from_text_or_path(model, tmp_path):
     with pytest.raises(ModelFileError, match=r'model\.json: model file: expected an object'):
         load_model(path)
     path.write_bytes(b'\xff\xfe{')
-    with pytest.raises(ModelFileError, match='readable'):
+    with pytest.raises(ModelFileError, match='UTF-16'):
         load_model(path)
 
 

@@ -211,7 +211,9 @@ def read_line(text: str, number: int) -> Line:
         return line
     if _BINARY.search(text):
         raise ProgramError(
-            number, 'expected text but found control characters; is this a binary file?'
+            number,
+            'expected text but found control characters; save it as UTF-8 if it is UTF-16, or is '
+            'this a binary file?',
         )
     line.open()
     try:
