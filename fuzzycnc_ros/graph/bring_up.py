@@ -6,8 +6,8 @@
 """
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -175,6 +175,54 @@ def node_specs(
     return specs
 
 
+def with_files(
+    spec: NodeSpec, machine: str, read: Sequence[ParameterSection], yielding: Collection[str] = ()
+) -> tuple[NodeSpec, list[str]]:
+    """Return a node that leaves to files what nobody asked for, and lines on what it overrules.
+
+    Parameters
+    ----------
+    spec : NodeSpec
+        The node; its parameters win over those of files.
+    machine : str
+        Its namespace.
+    read : sequence of ParameterSection
+        What the files say; the last one that reaches the node counts.
+    yielding : collection of str
+        Parameters that nobody asked for.
+    """
+    from fuzzycnc_ros.registry import COMPONENTS
+    from fuzzycnc_ros.runtime.host import HostConfig, RecorderConfig
+
+    component = COMPONENTS.get(spec.name)
+    records = (RecorderConfig,) if component is None else (HostConfig, component.CONFIG)
+    default = {item.name: item.default for record in records for item in fields(record)}
+    found = {
+        name: (value, part)
+        for part in read
+        if part.reaches(f'/{machine}/{spec.name}')
+        for name, value in part.values.items()
+    }
+    parameters, said = dict(spec.parameters), []
+    for name in parameters.keys() & found.keys():
+        value, part = found[name]
+        if _plain(value) in (_plain(parameters[name]), _plain(default.get(name))):
+            continue
+        if name in yielding:
+            del parameters[name]
+        else:
+            said.append(
+                f'{part.file}: line {part.line}: {name}: not read, as the command decides it: '
+                f'{parameters[name]}'
+            )
+    return replace(spec, parameters=parameters), sorted(said)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value in a form that equal ones of files and records share."""
+    return [item for item in value if item != ''] if isinstance(value, (list, tuple)) else value
+
+
 def known_nodes() -> tuple[str, ...]:
     """Return the names of all nodes that parameter files can be for."""
     from fuzzycnc_ros.registry import COMPONENTS
@@ -196,7 +244,7 @@ def page_spec(
     read : sequence of ParameterSection
         What parameter files say.
     """
-    named = any('bags' in part.names for part in read if part.reaches(f'/{PAGE}'))
+    named = any('bags' in part.values for part in read if part.reaches(f'/{PAGE}'))
     bags = {} if record is None or named else {'bags': str(record.absolute().parent)}
     return NodeSpec(PAGE, bags if port is None else {'port': port, **bags})
 
@@ -412,7 +460,7 @@ def launched(given: Mapping[str, str], params: Path, log: Path) -> list[Launched
         raise GraphError('machine: expected a name but found none')
     folder = Path(given['params_dir']) if given['params_dir'] else None
     files = parameter_files(folder, 'params_dir: ')
-    page_sections = sections(files)
+    found = sections(files)
     simulated = given['simulated'] == 'true'
     nodes = [*(_words(given['nodes']) or THERMAL)]
     nodes += [node for name, node in ADDED.items() if given[name] == 'true']
@@ -444,7 +492,9 @@ def launched(given: Mapping[str, str], params: Path, log: Path) -> list[Launched
             state_directory=Path(given['state_directory'] or log / 'state' / machine),
             machine_parameters=rate or None,
         )
+        yielding = () if given['state_directory'] else ('state_directory',)
         for spec in specs:
+            spec, _ = with_files(spec, machine, found, yielding)
             if given['use_sim_time'] and spec.name not in TIME_SOURCES:
                 clock = {'use_sim_time': _switch(given, 'use_sim_time', simulated)}
                 spec = replace(spec, parameters={**spec.parameters, **clock})
@@ -452,15 +502,17 @@ def launched(given: Mapping[str, str], params: Path, log: Path) -> list[Launched
             items.append(Launched(machine, spec, tuple(read), clock_remapping(machines)))
     if given['page']:
         bag = Path(given['record']) if given['record'] else None
-        page = page_spec(_port(given['page']), bag, page_sections)
+        page = page_spec(_port(given['page']), bag, found)
         items.append(Launched('', page, tuple(files or [params / f'{PAGE}.yaml']), ()))
     return items
 
 
 def unread_by(items: Sequence[Launched], folder: Path) -> list[str]:
     """Say which parameters in a folder no node reads that is launched, as `unread` does."""
+    found = sections(parameter_files(folder))
     nodes = [f'/{item.machine}/{item.spec.name}'.replace('//', '/') for item in items]
-    return unread(folder, sections(parameter_files(folder)), nodes, known_nodes())
+    overruled = [text for item in items for text in with_files(item.spec, item.machine, found)[1]]
+    return [*unread(folder, found, nodes, known_nodes()), *dict.fromkeys(overruled)]
 
 
 def _port(text: str) -> int:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import rclpy
 import yaml
@@ -16,13 +17,14 @@ from rclpy.logging import LoggingSeverity, get_logger_level, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 
 from fuzzycnc_ros.ros.leftovers import TemporaryFolder
-from fuzzycnc_ros.ros.parameters import ParameterError
+from fuzzycnc_ros.ros.parameters import NUMBER, ParameterError
 
 MACHINE_FILE = '--machine-file'
 """Option of every node: the machine file that decides its parameters."""
 BARE = frozenset('yYnN')
 """Names, such as that of an axis, to YAML 1.2, to PyYAML and to `ros2 param dump`, which writes
 them bare; switches to rcl, which refuses them beside other names."""
+_WHOLE = re.compile(r'[-+]?\d+')
 _PLACE_IN_RCL = re.compile(r', at /\S+:\d+')
 
 
@@ -110,7 +112,7 @@ def understood(arguments: Sequence[str]) -> Iterator[list[str]]:
 
 
 def quoted(arguments: Sequence[str], new_folder: Callable[[], Path]) -> list[str]:
-    """Return ROS arguments with bare names in lists of parameters in quotes.
+    """Return ROS arguments with bare names in lists of parameters in quotes, numbers alike.
 
     Parameters
     ----------
@@ -139,20 +141,29 @@ def quoted(arguments: Sequence[str], new_folder: Callable[[], Path]) -> list[str
 
 
 def quoted_yaml(text: str) -> str:
-    """Return YAML with bare y and n in lists in quotes; no parameter is a list of switches."""
-    depth, places = 0, []
+    """Return YAML with bare y and n in lists in quotes, and whole numbers beside others as such.
+
+    No parameter is a list of switches, and rcl refuses [0.5, 1].
+    """
+    open_lists: list[list[Any]] = []
+    changes: list[tuple[Any, str]] = []
     try:
         for event in yaml.parse(text):
-            depth += isinstance(event, yaml.SequenceStartEvent)
-            depth -= isinstance(event, yaml.SequenceEndEvent)
-            if not (depth and isinstance(event, yaml.ScalarEvent) and event.start_mark):
-                continue
-            if event.style is None and event.value in BARE:
-                places.append(event.start_mark.index)
+            if isinstance(event, yaml.SequenceStartEvent):
+                open_lists.append([])
+            elif isinstance(event, yaml.SequenceEndEvent):
+                found = open_lists.pop()
+                whole = [item for item in found if _WHOLE.fullmatch(item.value)]
+                if len(whole) < len(found) and all(NUMBER.fullmatch(i.value) for i in found):
+                    changes += [(item, f'{item.value}.0') for item in whole]
+            elif open_lists and isinstance(event, yaml.ScalarEvent) and event.style is None:
+                open_lists[-1].append(event)
+                if event.value in BARE:
+                    changes.append((event, f"'{event.value}'"))
     except yaml.YAMLError:
         return text  # rcl says what is wrong with it
-    for place in reversed(places):
-        text = f"{text[:place]}'{text[place]}'{text[place + 1 :]}"
+    for item, value in sorted(changes, key=lambda change: -change[0].start_mark.index):
+        text = text[: item.start_mark.index] + value + text[item.end_mark.index :]
     return text
 
 

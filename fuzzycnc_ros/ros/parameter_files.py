@@ -8,13 +8,13 @@ ROS gives every file to every node and says nothing of a section that belongs to
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from fuzzycnc_ros.files.yaml_file import compose
+from fuzzycnc_ros.files.yaml_file import compose, construct
 from fuzzycnc_ros.ros.presence import GraphError
 
 SUFFIXES = ('.yaml', '.yml')
@@ -32,14 +32,14 @@ class ParameterSection:
         Where it stands.
     pattern : str
         Full name of a node, with `*` for one part and `**` for any.
-    names : frozenset of str
-        Names of its parameters.
+    values : mapping of str to any
+        Its parameters, as YAML reads them.
     """
 
     file: Path
     line: int
     pattern: str
-    names: frozenset[str]
+    values: Mapping[str, Any]
 
     @property
     def node(self) -> str:
@@ -62,6 +62,8 @@ def parameter_files(folder: Path | None, named: str = '') -> list[Path]:
     """
     if folder is None:
         return []
+    if folder.exists() and not folder.is_dir():
+        raise GraphError(f'{named}{folder}: expected a folder but found a file; name its folder')
     files = sorted(path for path in folder.glob('*') if path.suffix.lower() in SUFFIXES)
     if not files:
         raise GraphError(f'{named}{folder}: expected files <node>.yaml but found none')
@@ -97,8 +99,8 @@ def _sections(file: Path, key: Any, value: Any, above: str) -> Iterator[Paramete
     name = above + ''.join(f'/{part}' for part in str(key.value).split('/') if part)
     for below, content in _items(value):
         if below.value == _PARAMETERS:
-            names = frozenset(str(item.value) for item, _ in _items(content))
-            yield ParameterSection(file, key.start_mark.line + 1, name, names)
+            values = {str(item.value): construct(file, value) for item, value in _items(content)}
+            yield ParameterSection(file, key.start_mark.line + 1, name, values)
         else:
             yield from _sections(file, below, content, name)
 
@@ -157,4 +159,6 @@ def unread(
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() not in SUFFIXES and path.name.partition('.')[0] in known:
             said.append(f'{path}: not read: only names that end with .yaml or .yml are')
+        elif path.is_dir() and any(item.suffix.lower() in SUFFIXES for item in path.iterdir()):
+            said.append(f'{path}: not read: only files in the folder itself are')
     return said

@@ -25,7 +25,8 @@ B = TypeVar('B', bound=Config)
 
 CLOCK = 'use_sim_time'
 """Parameter of ROS by which a node chooses its clock."""
-_NUMBER = re.compile(r'[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?')
+NUMBER = re.compile(r'[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?')
+"""A number in a text; nan and infinity are none."""
 KEEPS_ITS_CLOCK = (
     f'{CLOCK}: a running node keeps its clock, as all that it has taken is stamped by that; '
     'end the node and start it with the other one'
@@ -149,7 +150,7 @@ def _in_doubles(parameter: Parameter, declared: Parameter.Type) -> Parameter:
 def _number(value: Any) -> float | None:
     """Return a number, or a text that is one, as double; None of anything else."""
     if isinstance(value, str):
-        return float(value) if _NUMBER.fullmatch(value) else None
+        return float(value) if NUMBER.fullmatch(value) else None
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     return float(value) if is_number else None
 

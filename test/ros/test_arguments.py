@@ -81,9 +81,13 @@ def test_a_dump_is_loaded_again(component, tmp_path):
         ("['Y', on, Yes]", "['Y', on, Yes]"),
         ('y', 'y'),
         ('[Y', '[Y'),
+        ('[0.5, 1, -2] # 1', '[0.5, 1.0, -2.0] # 1'),
+        ('a:\n- 1e-05\n- 3\n', 'a:\n- 1e-05\n- 3.0\n'),
+        ('[1, 2]', '[1, 2]'),
+        ("['0.5', 1, X]", "['0.5', 1, X]"),
     ],
 )
-def test_bare_names_in_lists_are_quoted(text, wanted):
+def test_lists_are_as_rcl_takes_them(text, wanted):
     assert quoted_yaml(text) == wanted
 
 

@@ -4,7 +4,7 @@
 
 import pytest
 
-from fuzzycnc_ros.graph.bring_up import known_nodes, page_spec
+from fuzzycnc_ros.graph.bring_up import known_nodes, node_specs, page_spec, with_files
 from fuzzycnc_ros.ros.parameter_files import ParameterSection, parameter_files, sections, unread
 from fuzzycnc_ros.ros.presence import GraphError
 
@@ -45,9 +45,9 @@ def test_names_of_nodes_may_stand_one_below_the_other(tmp_path):
     text = 'mill:\n  compensator:\n    ros__parameters: {a: 1}\n  x:\n    ros__parameters:\n'
     (tmp_path / 'x.yaml').write_text(text)
     found = sections([tmp_path / 'x.yaml'])
-    assert [(part.pattern, part.line, part.names) for part in found] == [
-        ('/mill/compensator', 2, frozenset({'a'})),
-        ('/mill/x', 4, frozenset()),
+    assert [(part.pattern, part.line, part.values) for part in found] == [
+        ('/mill/compensator', 2, {'a': 1}),
+        ('/mill/x', 4, {}),
     ]
 
 
@@ -102,9 +102,56 @@ def test_both_spellings_of_yaml_are_read_and_others_named(tmp_path):
 
 def test_a_folder_of_bags_that_a_file_names_is_kept(tmp_path):
     def bags(record, *names):
-        read = [ParameterSection(tmp_path, 1, '/**/dashboard', frozenset(names))]
+        read = [ParameterSection(tmp_path, 1, '/**/dashboard', dict.fromkeys(names))]
         return page_spec(1, record, read).parameters.get('bags')
 
     assert bags(None) is None
     assert bags(tmp_path / 'bag', 'port') == str(tmp_path)
     assert bags(tmp_path / 'bag', 'bags') is None
+
+
+def settled(folder, text, yielding=(), **asked):
+    """Return the acquisition and the compensator as files leave them, and what is said."""
+    (folder / 'some.yaml').write_text(text)
+    read = sections([folder / 'some.yaml'])
+    specs = node_specs(nodes=('temperature_acquisition', 'compensator'), **asked)
+    found = [with_files(spec, 'mill', read, yielding) for spec in specs]
+    return [spec.parameters for spec, _ in found], [line for _, told in found for line in told]
+
+
+STATE = '/**:\n  ros__parameters: {state_directory: /var/lib/mill}\n'
+
+
+def test_where_state_is_kept_is_left_to_files_unless_it_is_asked_for(tmp_path):
+    of_run = tmp_path / 'state'
+    found, said = settled(tmp_path, STATE, ('state_directory',), state_directory=of_run)
+    assert not any('state_directory' in parameters for parameters in found)
+    assert said == []
+    found, said = settled(tmp_path, STATE, state_directory=of_run)
+    assert str(of_run) in [parameters.get('state_directory') for parameters in found]
+    told = f'line 1: state_directory: not read, as the command decides it: {of_run}'
+    assert said == [f'{tmp_path}/some.yaml: {told}']
+
+
+def test_a_switch_that_the_command_decides_is_named(tmp_path):
+    text = '/mill/compensator:\n  ros__parameters: {autostart: true, lockstep: false}\n'
+    assert settled(tmp_path, text, autostart=True)[1] == []
+    (told,) = settled(tmp_path, text)[1]
+    assert 'line 1: autostart: not read, as the command decides it: False' in told
+
+
+def test_shipped_files_overrule_nothing(tmp_path):
+    """They hold all defaults."""
+    text = '/**:\n  ros__parameters: {state_directory: "", autostart: false}\n'
+    found, said = settled(tmp_path, text, ('state_directory',), state_directory=tmp_path)
+    assert any('state_directory' in parameters for parameters in found)
+    assert said == []
+
+
+def test_folders_below_and_a_file_in_place_of_a_folder_are_named(tmp_path):
+    (tmp_path / 'mill_1').mkdir()
+    (tmp_path / 'mill_1' / 'compensator.yaml').touch()
+    told = said(tmp_path, compensator='/**/compensator')
+    assert told == [f'{tmp_path}/mill_1: not read: only files in the folder itself are']
+    with pytest.raises(GraphError, match='expected a folder but found a file'):
+        parameter_files(tmp_path / 'compensator.yaml')

@@ -33,6 +33,7 @@ from fuzzycnc_ros.graph.bring_up import (
     known_nodes,
     machine_name,
     node_specs,
+    with_files,
 )
 from fuzzycnc_ros.ros.leftovers import TemporaryFolder
 from fuzzycnc_ros.ros.parameter_files import parameter_files, sections, unread
@@ -219,6 +220,7 @@ def up(
         graphs = []
         plans = []
         bags = []
+        overruled: list[str] = []
         running = [] if page is None else [f'/{PAGE}']
         for name in machines:
             own_clock = clock_remapping(machines)
@@ -240,6 +242,13 @@ def up(
                 machine_parameters={'rate': rate} if duties else None,
                 recorder_parameters=keeping,
             )
+            unasked = {
+                *(['state_directory'] if state_directory is None else []),
+                *(['rate'] if rate == 1.0 else []),
+            }
+            for place, spec in enumerate(specs):
+                specs[place], more = with_files(spec, name, read, unasked)
+                overruled += more
             plans.append([tuple(specs)] if compose else [(spec,) for spec in specs])
             running += [f'/{name}/{spec.name}' for spec in specs]
         said = [] if params is None else unread(params, read, running, known_nodes())
@@ -248,7 +257,7 @@ def up(
             presence = stack.enter_context(Presence())
             check_free(monitor, presence, dict(zip(machines, plans, strict=True)))
         console.print(BANNER, style='yellow', soft_wrap=True)
-        for text in said:
+        for text in [*said, *dict.fromkeys(overruled)]:
             console.print(f'--params {text}', style='yellow', soft_wrap=True, markup=False)
         with page_process(console, page, record, params=own_files) as beside:
             outcome = supervise(console, monitor, graphs, plans, manager, beside)
