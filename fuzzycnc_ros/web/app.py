@@ -250,7 +250,8 @@ async def _body(request: Request) -> dict[str, Any]:
     found = json.loads(text or b'{}')
     if not isinstance(found, dict):
         raise ValueError('found another value')
-    json.dumps(found, ensure_ascii=False).encode()  # a lone surrogate is no text
+    # A lone surrogate is no text, and a record holds no number that JSON does not have.
+    json.dumps(found, ensure_ascii=False, allow_nan=False).encode()
     return found
 
 

@@ -49,10 +49,23 @@ class StrictConnection(h11.Connection):
         """
         if self.their_state is h11.IDLE:
             head, whole, _ = self.trailing_data[0].partition(b'\r\n\r\n')
-            names = [line.partition(b':')[0].strip().lower() for line in head.split(b'\r\n')[1:]]
-            if _TORN.search(head) or (whole and sum(name in _FRAMING for name in names) > 1):
+            if _TORN.search(head) or (whole and _ambiguous(head)):
                 raise h11.RemoteProtocolError('a head that can be read in two ways')
         return super().next_event()
+
+
+def _ambiguous(head: bytes) -> bool:
+    """Return whether a whole head leaves open where its body ends, or what its body is."""
+    first, *lines = head.split(b'\r\n')
+    parts = [line.partition(b':') for line in lines]
+    fields = [(name.strip().lower(), value) for name, _, value in parts]
+    framing = [(name, value) for name, value in fields if name in _FRAMING]
+    if not framing:
+        return False
+    name, value = framing[0]
+    upgraded = any(name == b'upgrade' for name, _ in fields)
+    old = first.rstrip().endswith(b'HTTP/1.0') and name == b'transfer-encoding'
+    return len(framing) > 1 or b',' in value or upgraded or old
 
 
 class WatchedConnection(H11Protocol):

@@ -208,6 +208,8 @@ def test_a_script_for_a_name_stays_a_name(page):
         b'{"by": "\\ud800"}',
         b'{"\\udfff": 1}',
         b'{"values": [{"x": "\\udc80"}]}',
+        b'{"by": "anna", "x": [NaN]}',
+        b'{"x": 1e999}',
     ],
 )
 def test_a_body_that_is_no_small_object_is_refused(page, body):
@@ -392,6 +394,8 @@ SMUGGLED = {
     'chunks beside a length': b'transfer-encoding: chunked\r\ncontent-length: 2\r\n' + CHUNKS,
     'two lengths': b'Content-Length: 2\r\nContent-Length: 2\r\n\r\n{}',
     'two other lengths': b'Content-Length: 2\r\nContent-Length: 40\r\n\r\n{}',
+    'a list of lengths': b'Content-Length: 2, 2\r\n\r\n{}',
+    'a body of another protocol': b'Upgrade: websocket\r\nContent-Length: 2\r\n\r\n{}',
     'two encodings': b'Transfer-Encoding: chunked\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\n',
     'a folded line': b'X: a\r\n b\r\nContent-Length: 2\r\n\r\n{}',
     'a bare line feed': b'X: a\nContent-Length: 2\r\n\r\n{}',
@@ -415,6 +419,23 @@ def test_a_head_that_can_be_read_in_two_ways_is_refused(page, rest, before):
     statuses = re.findall(rb'HTTP/1\.1 (\d+)', answer)
     assert statuses == [b'200'] * bool(before) + [statuses[-1]]
     assert statuses[-1] in (b'400', b'501')
+    assert page.machines.done == []
+
+
+@pytest.mark.parametrize(
+    'start',
+    [
+        b'GET /live HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n'
+        b'Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n'
+        b'Content-Length: 5\r\n\r\nabcde',
+        ACT.replace(b'HTTP/1.1', b'HTTP/1.0') + b'Transfer-Encoding: chunked\r\n' + CHUNKS,
+    ],
+    ids=['a WebSocket with a body', 'chunks before they existed'],
+)
+def test_a_body_that_cannot_be_there_is_refused(page, start):
+    with page.open() as connection:
+        connection.sendall(start)
+        assert connection.recv(100).startswith(b'HTTP/1.1 400')
     assert page.machines.done == []
 
 
