@@ -325,15 +325,16 @@ class Actions:
         request.transition.label = label
         try:
             answer = await self._call(ChangeState, f'/{view.machine}/{node}/change_state', request)
-        except GraphError:  # perhaps only the answer is lost, and to ask twice would not do
+            if not answer.success:
+                raise GraphError(
+                    f'{node} refuses to {label}; its alarms and its log say why; mend that, then '
+                    'try again'
+                )
+        except GraphError:
+            # Perhaps only the answer is lost, and to ask twice would not do; or somebody else has
+            # asked for the same a moment before.
             if await self._lifecycle(view, node) != REACHED[label]:
                 raise
-            return
-        if not answer.success:
-            raise GraphError(
-                f'{node} refuses to {label}; its alarms and its log say why; mend that, then '
-                'try again'
-            )
 
     async def _forget(self, view: MachineView, body: Mapping[str, Any], by: str) -> str:
         why, mode = body.get('why'), body.get('mode')

@@ -13,7 +13,7 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed here: run `make test`')
 
-from lifecycle_msgs.srv import GetState
+from lifecycle_msgs.srv import ChangeState, GetState
 from processes import HANG, wait_for
 
 from fuzzycnc_ros.graph import page_actions
@@ -144,6 +144,24 @@ def test_a_transition_whose_answer_is_lost_is_seen_in_the_state(record, monkeypa
     view = SimpleNamespace(machine='mill', nodes=('compensator',))
     assert asyncio.run(actions._activate(view, {}, 'anna')) == 'compensator is active'
     with pytest.raises(GraphError, match='change_state did not answer'):
+        asyncio.run(actions._deactivate(view, {}, 'anna'))
+
+
+def test_what_somebody_else_has_just_done_is_no_refusal(record, monkeypatch):
+    """Of two that deactivate at once the second is refused by the node."""
+    actions, states = record(), ['active', 'inactive', 'active', 'active']
+
+    async def call(kind, name, request, **_):
+        if kind is not GetState:
+            return ChangeState.Response(success=False)
+        answer = GetState.Response()
+        answer.current_state.label = states.pop(0)
+        return answer
+
+    monkeypatch.setattr(actions, '_call', call)
+    view = SimpleNamespace(machine='mill', nodes=('compensator',))
+    assert 'is inactive' in asyncio.run(actions._deactivate(view, {}, 'anna'))
+    with pytest.raises(GraphError, match='refuses to deactivate'):
         asyncio.run(actions._deactivate(view, {}, 'anna'))
 
 
