@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from benches.probe_rig import reference_at
 from equipment.linuxcnc_machine import exclusive
-from equipment.linuxcnc_probe import FILE, NEVER, LinuxcncWithProbe
+from equipment.linuxcnc_probe import FILE, NEVER, ON_A_SIDE, LinuxcncWithProbe
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from fuzzycnc_ros.adapters.probing.probe_file import read_plan
@@ -114,8 +114,19 @@ def test_a_faulty_probe_teaches_nothing_false_and_ends_the_cycle_above(machine, 
     assert value == 0.0
     np.testing.assert_allclose(found, 0.0, atol=1e-9)
     assert controller.halcmd('getp', due) == 'FALSE'
+    # chips: one that falls off at the first touch, one that stays for two, one on a side
+    controller.chips(1)
     _, found = cycle(Y=12.0, Z=-31.0)
     np.testing.assert_allclose(found, [12.0, -31.0], atol=1.0)
+    controller.chips(0, 1, 2)
+    value, _ = call(controller)
+    observer.until(lambda: 'touches differ' in states[-1].outcome, 'a chip for two touches')
+    assert (value, len(probes), states[-1].accepted) == (0.0, 2, False)
+    controller.chips(*range(ON_A_SIDE), positive=True)
+    value, _ = call(controller)
+    observer.until(lambda: 'further apart' in states[-1].outcome, 'a chip on a side')
+    np.testing.assert_allclose(probes[-1].displacement / MICRON, [np.nan, -31.0], atol=1.0)
+    controller.chips()
 
     # broken stylus, missed sphere: it touches nothing
     controller.reach(NEVER)
@@ -129,7 +140,7 @@ def test_a_faulty_probe_teaches_nothing_false_and_ends_the_cycle_above(machine, 
     controller.reach(18.0)
     value, _ = cycle(missed, Y=60.0)
     assert value == 1.0
-    assert len(probes) == 2
+    assert len(probes) == 3
     # a probe that trips a millimetre early, and one that trips early by 0.1 mm on all sides
     controller.reach(14.0)
     controller.halcmd('sets', 'reach', '13.6')
@@ -138,7 +149,7 @@ def test_a_faulty_probe_teaches_nothing_false_and_ends_the_cycle_above(machine, 
     controller.reach(13.1)
     value, _ = call(controller)
     observer.until(lambda: 'further apart' in states[-1].outcome, 'larger than before')
-    for probe in probes[2:]:
+    for probe in probes[3:]:
         assert np.isnan(probe.displacement[0])
         assert not probe.displacement[1] / MICRON > 60.0
     # repaired

@@ -3,6 +3,7 @@
 """Coordinates of the places of a probing cycle from its touches, or why there are none."""
 
 from dataclasses import dataclass
+from math import copysign
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,10 @@ from fuzzycnc_ros.core.probing.plan import ProbePlan
 Floats = NDArray[np.float64]
 
 AGREEING = 2 / 3
-"""Share of the repeats of a side that have to agree: one of three may be a chip."""
+"""Share of the repeats of a side that have to agree: one of three may be a chip.
+
+None may be deeper than those: a chip is always above the surface, so the others had one.
+"""
 
 
 @dataclass(frozen=True)
@@ -82,8 +86,9 @@ def coordinates(
         for touch in place.touches:
             values = measured[at : at + plan.repeats]
             at += plan.repeats
-            kept = values[np.abs(values - np.median(values)) <= limits.spread_max]
-            if len(kept) < AGREEING * len(values):
+            deeper = copysign(1.0, touch.end - touch.surface) * (values - np.median(values))
+            kept = values[np.abs(deeper) <= limits.spread_max]
+            if len(kept) < AGREEING * len(values) or deeper.max() > limits.spread_max:
                 doubt = doubt or (
                     f'touches differ by {1e6 * np.ptp(values):.1f} µm, more than spread_max '
                     f'{1e6 * limits.spread_max:g} µm: dirt, a loose stylus, or vibration'

@@ -82,6 +82,15 @@ def test_one_touch_of_three_may_be_a_chip():
     assert rig.probes[-1].displacement[0] == pytest.approx(0.0)
 
 
+@pytest.mark.parametrize(('place', 'way'), [(0, -1.0), (1, 1.0)])
+def test_two_touches_that_agree_are_a_chip_if_the_third_goes_deeper(place, way):
+    rig = zeroed()
+    chip = (1, 2) if place == 0 else (8, 9)
+    rig.cycle(dict.fromkeys(chip, way * 60.0))
+    assert np.isnan(rig.probes[-1].displacement[place])
+    assert 'touches differ by 60.0 µm' in rig.state.outcome
+
+
 def test_a_chip_on_one_side_shows_in_the_size():
     rig = zeroed()
     rig.error = {'Y': 5.0, 'Z': 5.0}
