@@ -268,12 +268,12 @@ class CsvMapping:
         taken = {self.time, self.spindle_speed, *self.drives.values()}
         taken.update(channel.column for channel in self.channels)
         chosen: set[str] = set()
+        names = frozenset(header)
         for pattern in self.temperatures:
-            fits = [
-                name
-                for name in header
-                if name == pattern or (name not in taken and _matches(name, pattern))
-            ]
+            if pattern in names:
+                chosen.add(pattern)
+                continue
+            fits = [name for name in header if name not in taken and _matches(name, pattern)]
             if not fits:
                 raise CsvError(
                     f'expected a temperature column {pattern!r} but the file has '

@@ -136,6 +136,8 @@ class TemperatureAcquisitionConfig(Config):
     )
 
 
+LATE = 120.0
+"""Time after which the machine may be warm [s]: the zero can no longer be measured."""
 ROOM = 5.0, 45.0
 """Temperatures of a machine that is not hot [degC], by which a wrong unit is recognised."""
 TINY = 1e-6
@@ -443,9 +445,9 @@ class TemperatureAcquisition(Component[TemperatureAcquisitionConfig]):
         if self._reference is not None and self._reference.cold_since >= self._cold_since:
             return
         if not self._collected:
-            late = sample.stamp - self._cold_since > nanoseconds(2.0 * self._config.interval)
-            if late:
-                # The machine has been warming up unseen: its zero can no longer be measured.
+            if sample.stamp - self._cold_since > nanoseconds(
+                max(2.0 * self._config.interval, LATE)
+            ):
                 return
         self._collected.append(sample)
         if len(self._collected) < self._config.reference_samples:

@@ -132,6 +132,7 @@ class ModelHistory:
         """Remainder of a model from which this one has taken over [m]; fades to zero."""
         self._recursion = self.model.start()
         self._stepped_at: Stamp | None = None
+        self._heard_at: Stamp | None = None
         self._predicted_at: Stamp | None = None
         self._unknown_since: Stamp | None = None
         self._vector: Floats | None = None
@@ -276,6 +277,7 @@ class ModelHistory:
     def _step(self, heard: StreamSample) -> Floats | None:
         """Step the model; return the error [m], or None and set the reason."""
         stamp = heard.sample.stamp
+        before, self._heard_at = self._heard_at or self._stepped_at, stamp
         # Before the sample is read: the checkpoint knows which sensors were voted out.
         if self._stepped_at is None and self._unknown_since is None:
             self._take_checkpoint(stamp)
@@ -289,10 +291,12 @@ class ModelHistory:
             elapsed = stamp - self._stepped_at
             steps = round(elapsed / interval)
             if steps == 0 or abs(elapsed - steps * interval) > 0.1 * elapsed:
+                assert before is not None
                 self.refuse(
                     Reason.NO_MODEL,
                     f'the model was trained on samples every {self.model.interval:g} s but they '
-                    f'come after {elapsed / SECOND:g} s; set interval of temperature_acquisition',
+                    f'come after {(stamp - before) / SECOND:g} s; set interval of '
+                    'temperature_acquisition',
                 )
                 return None
             if elapsed > nanoseconds(self.config.gap_max) + interval:

@@ -14,6 +14,9 @@ from fuzzycnc_ros.core.thermal.run import SAMPLES_MIN, TEMPERATURE_MAX, TEMPERAT
 FAR = 10.0
 """Difference to the next other readings that shows that a value is none [K]."""
 
+ROUNDED = 1e-6
+"""Difference of a value within the range to a known one that is rounding [degC]."""
+
 _POWER_ON = 85.0
 
 _MEANINGS = {
@@ -83,22 +86,27 @@ def values_without_reading(raw: Array, temperature: Array) -> list[NoReading]:
     suspects = np.zeros(raw.shape, dtype=bool)
     kinds: list[tuple[int, float, str]] = []
     for column, (own, warm) in enumerate(zip(raw.T, temperature.T, strict=True)):
-        values, counts = np.unique(own[np.isfinite(own)], return_counts=True)
-        for value, count in zip(values.tolist(), counts.tolist(), strict=True):
-            degrees = float(warm[own == value][0])
-            beyond = not TEMPERATURE_MIN <= degrees <= TEMPERATURE_MAX
-            meaning = _meaning(value, degrees, beyond)
-            if not meaning and beyond and 2 <= count < np.isfinite(own).sum():
+        known = np.flatnonzero(np.isfinite(own))
+        values, first, counts = np.unique(own[known], return_index=True, return_counts=True)
+        degrees = warm[known[first]]
+        beyond = ~((degrees >= TEMPERATURE_MIN) & (degrees <= TEMPERATURE_MAX))
+        for place in np.flatnonzero(beyond | _is_known(values) | _is_known(degrees)).tolist():
+            value, count = float(values[place]), counts[place]
+            meaning = _meaning(value, float(degrees[place]), bool(beyond[place]))
+            if not meaning and beyond[place] and 2 <= count < len(known):
                 meaning = f'in {count} rows exactly, and no machine has it'
             if meaning:
                 kinds.append((column, value, meaning))
                 suspects[own == value, column] = True
+    if not kinds:
+        return []
     sound = np.where(suspects, np.nan, temperature)
-    level = _others(np.where(impossible, np.nan, sound))
+    # Only of interest beside a sensor that says nothing else, and so is not one of them.
+    level = _median(np.where(impossible, np.nan, sound))
     for column, value, meaning in kinds:
         at = np.flatnonzero(raw[:, column] == value)
-        clear = _is_far(temperature[at, column], at, sound[:, column], level[at, column])
-        alone = len(at) == len(raw) and not np.isfinite(level[:, column]).any()
+        clear = _is_far(temperature[at, column], at, sound[:, column], level[at])
+        alone = len(at) == len(raw) and not np.isfinite(level).any()
         if clear or alone:
             found.append(NoReading(column, value, meaning, at, clear))
     return found
@@ -107,7 +115,7 @@ def values_without_reading(raw: Array, temperature: Array) -> list[NoReading]:
 def _meaning(value: float, degrees: float, beyond: bool) -> str:
     for known, meaning in _MEANINGS.items():
         # One decimal may be all that a logger writes; within the range only the value itself is.
-        near = 0.05 if beyond else 1e-6
+        near = 0.05 if beyond else ROUNDED
         if abs(value - known) <= near or abs(degrees - known) <= near:
             return meaning
     if beyond and _NINES.fullmatch(f'{value:.10g}'):
@@ -115,14 +123,18 @@ def _meaning(value: float, degrees: float, beyond: bool) -> str:
     return ''
 
 
-def _others(temperature: Array) -> Array:
-    """Return the median of the other sensors for each reading, NaN without any."""
-    level = np.full(temperature.shape, np.nan)
-    for column in range(temperature.shape[1]):
-        others = np.delete(temperature, column, axis=1)
-        rows = np.isfinite(others).any(axis=1)
-        if rows.any():
-            level[rows, column] = np.nanmedian(others[rows], axis=1)
+def _is_known(values: Array) -> NDArray[np.bool_]:
+    """Return whether values within the range are among the known ones."""
+    off = np.abs(values[:, np.newaxis] - np.array(list(_MEANINGS)))
+    return np.asarray((off <= ROUNDED).any(axis=1))
+
+
+def _median(temperature: Array) -> Array:
+    """Return the median of the sensors for each reading, NaN without any."""
+    level = np.full(len(temperature), np.nan)
+    rows = np.isfinite(temperature).any(axis=1)
+    if rows.any():
+        level[rows] = np.nanmedian(temperature[rows], axis=1)
     return level
 
 

@@ -19,10 +19,6 @@ const TIMES = [[86400, DATE], [60, '{HH}:{mm}', `\n${DATE}`], [1, '{HH}:{mm}:{ss
   .map(([step, text, date = null]) => [step, text, date, date, date, null, null, null, 1]);
 const cursors = uPlot.sync('time');
 
-function colour(name) {
-  return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
-}
-
 /** Return a colour of the style sheet as one that a canvas knows, with an opacity. */
 function paint(name, opacity = 1) {
   const probe = make('span');
@@ -52,26 +48,25 @@ function pauses(times) {
  */
 function withPauses(time, lists) {
   const gaps = lists.map((list) => {
-    const known = time.map((value, at) => at).filter((at) => Number.isFinite(list[at]));
+    const known = [...time.keys()].filter((at) => Number.isFinite(list[at]));
     return pauses(known.map((at) => time[at])).map((at) => [known[at - 1], known[at]]);
   });
   const extra = new Set(gaps.flat().filter(([from, to]) => to === from + 1).map(([, to]) => to));
-  const found = [[], ...lists.map(() => [])];
-  time.forEach((value, at) => {
-    if (extra.has(at)) {
-      found[0].push((value + time[at - 1]) / 2);
-      lists.forEach((list, column) => {
-        const gap = gaps[column].some(([from, to]) => from < at && at <= to);
-        found[column + 1].push(gap ? null : undefined);
-      });
-    }
-    found[0].push(value);
-    lists.forEach((list, column) => {
-      const gap = gaps[column].some(([from, to]) => from < at && at < to);
-      found[column + 1].push(gap ? null : list[at]);
-    });
-  });
-  return found;
+  const stretched = (list, between, own) => list.flatMap((value, at) => (
+    extra.has(at) ? [between(at), own(value, at)] : [own(value, at)]));
+  return [
+    stretched(time, (at) => (time[at] + time[at - 1]) / 2, (value) => value),
+    ...lists.map((list, column) => {
+      const blank = new Set();
+      const cut = new Set();
+      for (const [from, to] of gaps[column]) {
+        for (let at = from + 1; at <= to; at += 1) cut.add(at);
+        for (let at = from + 1; at < to; at += 1) blank.add(at);
+      }
+      return stretched(list, (at) => (cut.has(at) ? null : undefined),
+        (value, at) => (blank.has(at) ? null : value));
+    }),
+  ];
 }
 
 /**
@@ -178,7 +173,7 @@ export class Chart {
   #key(line) {
     const look = line.points ? 'points' : line.dash ? 'dashed' : 'solid';
     const swatch = make('span', {class: `swatch ${look}`, 'aria-hidden': 'true'});
-    swatch.style.borderColor = colour(line.colour);
+    swatch.style.borderColor = `var(--${line.colour})`;
     const button = make('button', {type: 'button', 'aria-pressed': 'true', class: 'quiet'},
       swatch, make('span', {class: 'name', text: line.label}), make('span', {class: 'value'}));
     button.addEventListener('click', () => {

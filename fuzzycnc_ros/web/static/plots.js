@@ -11,6 +11,8 @@ const SPANS = [['10 min', 600], ['1 h', 3600], ['4 h', 14400], ['24 h', 86400]];
 const COLOURS = ['line-1', 'line-2', 'line-3', 'line-4', 'line-5', 'line-6', 'line-7', 'line-8'];
 /** Time [s] between two fetches of what views do not tell. */
 const AGAIN = 5;
+/** Share of the time that drawing may take: a thousand lines take seconds. */
+const SHARE = 0.25;
 const MICRO = 1e6;
 
 /** Return values times a factor; what a row does not tell is undefined, which is no gap. */
@@ -165,6 +167,8 @@ export class Plots {
   #charts = new Map();
   #view = null;
   #fetchedAt = 0;
+  /** Until when views are not drawn. */
+  #rests = 0;
   #active = false;
 
   constructor(panel, series, range) {
@@ -195,7 +199,7 @@ export class Plots {
     if (this.range.fixed || view.silent) return;
     const whole = this.#append();
     if (this.#stretch.long || (!whole && performance.now() - this.#fetchedAt > AGAIN * 1000)) this.#load();
-    else this.#draw();
+    else if (performance.now() > this.#rests) this.#draw();
   }
 
   /** Continue by the newest view; return whether it tells all of the series. */
@@ -225,6 +229,7 @@ export class Plots {
   }
 
   #draw() {
+    this.#rest();
     const [begin, end] = this.range.at(this.#view.stamp);
     this.live.setAttribute('aria-pressed', String(!this.range.fixed));
     say(this.shown, `${moment(begin)} to ${moment(end)}, ${duration(end - begin)}`
@@ -247,6 +252,14 @@ export class Plots {
       chart.show(this.#stretch.time, lines, [begin, end]);
     }
     this.place.dataset.rows = this.#stretch.time.length;
+  }
+
+  /** Rest in proportion to the time until what is now drawn can be seen. */
+  #rest() {
+    const begun = performance.now();
+    this.#rests = Infinity;
+    const seen = () => { this.#rests = begun + (performance.now() - begun) / SHARE; };
+    requestAnimationFrame(() => requestAnimationFrame(seen));
   }
 
   #controls() {

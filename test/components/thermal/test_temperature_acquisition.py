@@ -369,6 +369,15 @@ def test_restart_without_the_old_reference_does_not_guess_one():
     assert bench.records('thermal_reference') == []
 
 
+def test_a_short_interval_does_not_make_the_samples_after_a_request_late():
+    bench = bench_of(interval=1.0)
+    feed(bench, 30, [22.0])
+    assert bench.request('set_thermal_reference', set_by='operator').success
+    feed(bench, 3, [23.0], start=362.0)
+    (reference,) = bench.records('thermal_reference')
+    assert reference.temperature == pytest.approx([23.0], abs=0.01)
+
+
 def test_operator_can_declare_the_machine_at_rest():
     bench = bench_of(reference_samples=2)
     feed(bench, 30, [22.0])

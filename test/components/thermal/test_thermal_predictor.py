@@ -253,6 +253,8 @@ def test_samples_at_another_interval_are_refused_with_the_remedy():
     text = bench.health()
     assert 'trained on samples every 60 s but they come after 30 s' in text
     assert 'set interval of temperature_acquisition' in text
+    bench.give('temperatures', sample_of(run, 10, later=-29.9))
+    assert 'but they come after 0.1 s' in bench.health()
 
 
 def test_stream_without_the_models_sensors_is_refused_by_name():

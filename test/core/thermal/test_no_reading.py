@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What sensors, inputs and loggers say without a reading, and true temperatures of that size."""
 
+from time import process_time
+
 import numpy as np
 import pytest
 
@@ -76,3 +78,12 @@ def test_missing_readings_and_healthy_runs_have_none():
     assert found_in(values) == {}
     for run in record_runs(seed=3).values():
         assert found_in(run.temperature) == {}
+
+
+def test_a_thousand_sensors_take_no_minute():
+    temperature = 20.0 + np.random.default_rng(1).normal(0.0, 0.5, (300, 1000)).round(3)
+    temperature[5, 7] = 85.0
+    begun = process_time()
+    (found,) = values_without_reading(temperature, temperature)
+    assert (found.column, found.rows.tolist()) == (7, [5])
+    assert process_time() - begun < 5.0
