@@ -138,7 +138,7 @@ class ServoController(Component[ServoControllerConfig]):
         """Take a part of a trajectory; axes on the way to a position refuse it."""
         if not self._active or self._fault or self._forbidden or self._at is None:
             return  # the machine side says the same
-        if self._trials.running:
+        if self._trials.running and not self._trials.led:
             self._refusal = f'trajectory {part.path_id}: a controller is being tried'
             return
         if any(axis.moving for axis in self._axes) or self._wanted is not None:

@@ -14,9 +14,9 @@ from fuzzycnc_ros.components.servo.servo_controller_config import (
     file_controller,
     profile_limits,
 )
-from fuzzycnc_ros.core.machine.machine_data import axis_hash
+from fuzzycnc_ros.core.machine.machine_data import AxisData, axis_hash
 from fuzzycnc_ros.core.servo.controller import AxisController
-from fuzzycnc_ros.core.servo.course import Course, there_and_back
+from fuzzycnc_ros.core.servo.course import AxisFigures, Course, LedCourse, there_and_back
 from fuzzycnc_ros.core.servo.feedback_watch import SWINGING
 from fuzzycnc_ros.core.servo.params import ServoParamsWarning
 from fuzzycnc_ros.core.servo.profile import ProfileLimits
@@ -29,6 +29,10 @@ VALIDITY = nanoseconds(0.5)
 LONGEST = 12.0
 """Longest way there and back [s]."""
 
+CHATTER, FAST, OVER = 0.15, 0.005, 0.2
+"""RMS of the duty about its mean from which on it chatters [-], and the times over which mean and
+RMS are taken [s]: the quickest profile stays below."""
+
 GAIN_MAX = 3.0
 """Largest factor on the duty [-]."""
 
@@ -37,10 +41,6 @@ UNSTABLE = 'expected a loop that is stable with its model'
 
 AT_LIMIT = 0.1
 """Time at the limit of the drive after which a trial ends [s]: there no loop is closed."""
-
-_CHATTER, _FAST, _OVER = 0.15, 0.005, 0.2
-"""RMS of the duty about its mean from which on it chatters [-], and the times over which mean and
-RMS are taken [s]: the quickest profile stays below."""
 
 
 class AxisTrial:
@@ -54,8 +54,8 @@ class AxisTrial:
         The trial.
     controller : AxisController
         Its controller.
-    course : Course
-        The way there and back.
+    course : Course, optional
+        The way there and back; by default whoever leads the axis makes it.
     travel : tuple of float
         Ends of the travel [m].
     reading : float
@@ -74,24 +74,32 @@ class AxisTrial:
         axis: ServoAxis,
         asked: ServoTrial,
         controller: AxisController,
-        course: Course,
+        course: Course | None,
         travel: tuple[float, float],
         reading: float,
     ) -> None:
         self.axis, self.number = axis, asked.trial
         self.status, self.reason = TrialStatus.RUNNING, ''
         self._start, self._held = axis.reference, axis.duty
-        self._course, (self._low, self._high) = course, travel
+        self._low, self._high = travel
+        self._way, self._led = course, LedCourse(controller.period)
         self._error_max = asked.error_max
         self._until = asked.stamp + VALIDITY
         self._errors: list[float] = []
         period = controller.period
         self._at_limit, self._limit = 0, round(AT_LIMIT / period)
-        self._fast, self._over = period / _FAST, period / _OVER
+        self._longest = round(LONGEST / period)
+        self._fast, self._over = period / FAST, period / OVER
         self._mean, self._ripple = axis.duty, 0.0
         axis.lend(controller, asked.gain, reading)
-        rows = course.rows.tolist()
-        axis.go([(self._start + place, speed, rise) for place, speed, rise in rows])
+        if course is not None:
+            rows = course.rows.tolist()
+            axis.go([(self._start + place, speed, rise) for place, speed, rise in rows])
+
+    @property
+    def led(self) -> bool:
+        """True if a trajectory makes the way."""
+        return self._way is None
 
     def renew(self, stamp: int) -> None:
         """Take a sign of life of the operator [ns]."""
@@ -118,10 +126,12 @@ class AxisTrial:
         known = isfinite(reading)
         last = self._errors[-1] if self._errors else 0.0
         self._errors.append(self.axis.reference - reading if known else last)
+        if self._way is None:
+            self._led.add(self.axis.velocity != 0.0 or self.axis.acceleration != 0.0)
         reason = forbidden or self._reason(reading, stamp)
         if reason:
             self.end(reason)
-        elif len(self._errors) >= len(self._course.rows):
+        elif self._led.over if self._way is None else len(self._errors) >= len(self._way.rows):
             self.status = TrialStatus.DONE
 
     def restore(self, reading: float, way_back: ProfileLimits) -> None:
@@ -141,6 +151,8 @@ class AxisTrial:
             return
         axis.give_back(self._held, reading)
         axis.take_over(reading)
+        if self._way is None:
+            return  # whoever leads it does so
         try:
             axis.go(axis.way(self._start, way_back))
         except ValueError:  # too fast for it, and too near to an end of the travel
@@ -149,7 +161,9 @@ class AxisTrial:
     def state(self, stamp: int) -> ServoTrialState:
         """Return what became of it."""
         done = self.status == TrialStatus.DONE
-        figures = self._course.figures(self._errors) if done else None
+        figures: AxisFigures | None = None
+        if done:
+            figures = (self._way or self._led.course).figures(self._errors)
         return ServoTrialState(
             stamp=stamp,
             axis_name=self.axis.name,
@@ -176,7 +190,7 @@ class AxisTrial:
             return controller.watch.fault
         if controller.taken_back or swing.grows or swing.lasts:
             return f'{SWINGING} ({swing.frequency:.3g} Hz)' if swing.frequency else SWINGING
-        if sqrt(self._ripple) > _CHATTER:
+        if sqrt(self._ripple) > CHATTER:
             return 'the duty chatters: the gains are too high for this axis'
         if self._at_limit >= self._limit:
             return f'the drive was at its limit for {AT_LIMIT:g} s'
@@ -184,6 +198,8 @@ class AxisTrial:
             return f'the following error is beyond {1e3 * self._error_max:.3g} mm'
         if reading < self._low or reading > self._high:  # false for NaN
             return f'{self.axis.name} left its travel'
+        if self._way is None and len(self._errors) > self._longest:
+            return f'it was not there and back within {LONGEST:g} s'
         return ''
 
 
@@ -212,6 +228,11 @@ class ServoTrials:
     def running(self) -> bool:
         """True while a trial drives an axis, or is about to."""
         return self._trial is not None or self._asked is not None
+
+    @property
+    def led(self) -> bool:
+        """True while an axis is tried that a trajectory leads."""
+        return self._trial is not None and self._trial.led
 
     @property
     def pending(self) -> bool:
@@ -354,7 +375,7 @@ class ServoTrials:
         if not (
             0.0 < asked.gain <= GAIN_MAX
             and 0.0 < asked.pace <= 1.0
-            and 0.0 < abs(asked.way) < inf
+            and isfinite(asked.way)
             and 0.0 < asked.error_max < inf
         ):
             return (
@@ -379,6 +400,26 @@ class ServoTrials:
                     f'{axis.name}: expected a way within its travel of {1e3 * travel[0]:g} to '
                     f'{1e3 * travel[1]:g} mm but found {1e3 * place:g} mm'
                 )
+        course = self._course(asked, data) if asked.way else None
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore', ServoParamsWarning)  # its loop is judged below
+            settings = dict(zip(asked.setting, asked.value.tolist(), strict=True))
+            controller = file_controller(self._config, axis.name, data, asked.controller, settings)
+        if not controller.settles(asked.gain):
+            raise ValueError(
+                f'{axis.name}: {UNSTABLE} at {asked.gain:g} times the gain but found one that is '
+                'not'
+            )
+        return AxisTrial(axis, asked, controller, course, travel, reading)
+
+    def _course(self, asked: ServoTrial, data: AxisData) -> Course:
+        """Return the way there and back of a trial.
+
+        Raises
+        ------
+        ValueError
+            If it takes too long.
+        """
         limits = profile_limits(self._config, nan, data)
         course = there_and_back(
             asked.way,
@@ -394,16 +435,7 @@ class ServoTrials:
             raise ValueError(
                 f'way: expected there and back within {LONGEST:g} s but found {time:.1f} s'
             )
-        with warnings.catch_warnings():
-            warnings.simplefilter('ignore', ServoParamsWarning)  # its loop is judged below
-            settings = dict(zip(asked.setting, asked.value.tolist(), strict=True))
-            controller = file_controller(self._config, axis.name, data, asked.controller, settings)
-        if not controller.settles(asked.gain):
-            raise ValueError(
-                f'{axis.name}: {UNSTABLE} at {asked.gain:g} times the gain but found one that is '
-                'not'
-            )
-        return AxisTrial(axis, asked, controller, course, travel, reading)
+        return course
 
 
 def machine_forbids(machine: MachineState | None) -> str:

@@ -60,6 +60,39 @@ class Course:
         )
 
 
+class LedCourse:
+    """The same way along which somebody else leads an axis: over at the end of its second rest.
+
+    Parameters
+    ----------
+    period : float
+        Control period [s].
+    """
+
+    def __init__(self, period: float) -> None:
+        self._rest = round(REST / period)
+        self._still, self._moved, self._rests = 0, False, 0
+        self._judged: list[bool] = []
+
+    @property
+    def over(self) -> bool:
+        """True once the way there and back was made, each with its rest."""
+        return self._rests >= 2
+
+    @property
+    def course(self) -> Course:
+        """What was judged, without the way."""
+        return Course(np.empty((len(self._judged), 0)), np.array(self._judged))
+
+    def add(self, moves: bool) -> None:
+        """Take a period in which the axis is to move, or to rest."""
+        self._moved = self._moved or moves
+        self._still = 0 if moves else self._still + 1
+        rest = self._rest
+        self._judged.append(self._moved and rest - rest // 3 < self._still <= rest)
+        self._rests += self._moved and self._still == rest
+
+
 def single_way(way: float, limits: ProfileLimits, period: float) -> Array:
     """Return position, velocity and acceleration over a way [m], shape (n, 3)."""
     course = point_to_point(0.0, way, limits).sample(period)

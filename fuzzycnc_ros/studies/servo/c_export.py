@@ -5,12 +5,22 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from fuzzycnc_ros.components.servo.servo_trial import (
+    AT_LIMIT,
+    CHATTER,
+    FAST,
+    LONGEST,
+    OVER,
+    VALIDITY,
+)
+from fuzzycnc_ros.core.servo.constants import Constant
 from fuzzycnc_ros.core.servo.controller import AxisController
+from fuzzycnc_ros.core.servo.course import REST
 from fuzzycnc_ros.core.servo.pid_cascade import CascadeController, PidController
 from fuzzycnc_ros.core.servo.variable_universe import (
     ContractedSurface,
@@ -27,6 +37,13 @@ from fuzzycnc_ros.studies.servo.c_text import (
 RECORDED = 400
 """Steps of the self-test."""
 
+TRIED = (
+    *('PROPORTIONAL', 'DERIVATIVE', 'INTEGRAL', 'POSITION_GAIN', 'VELOCITY_GAIN'),
+    *('ERROR_GAIN', 'RATE_GAIN', 'OUTPUT_SCALE', 'PER_ERROR', 'PER_RATE'),
+    *('SETTLE_PERIODS', 'DISTURBANCE_GAIN'),
+)
+"""Constants that the settings of a law decide, beside the gains of its observer."""
+
 
 def c_controller(controller: AxisController, origin: ExportOrigin) -> str:
     """Return a controller as a C99 file; a copy of its state is not part of it.
@@ -37,7 +54,9 @@ def c_controller(controller: AxisController, origin: ExportOrigin) -> str:
         If the controller is of a kind that cannot be exported, or the name is none of C.
     """
     recorded = [[number(one) for one in row] for row in _recorded(controller)]
-    return rendered('controller.c', _values(controller), origin, scope='', recorded=recorded)
+    return rendered(
+        'controller.c', _values(controller), origin, scope='', recorded=recorded, tried=()
+    )
 
 
 def hal_controller(controller: AxisController, origin: ExportOrigin) -> str:
@@ -48,7 +67,64 @@ def hal_controller(controller: AxisController, origin: ExportOrigin) -> str:
     ValueError
         If the controller is of a kind that cannot be exported, or the name is none of C.
     """
-    return rendered('axis.comp', _values(controller), origin, scope='static ', recorded=())
+    values = _values(controller)
+    constants = values['constants']
+    values['constants'] = [item for item in constants if item.name not in TRIED]
+    return rendered(
+        'axis.comp',
+        values,
+        origin,
+        scope='static ',
+        recorded=(),
+        tried=[item for item in constants if item.name in TRIED],
+        numbers=len(_tried(constants, values['rows'])),
+        silence=round(VALIDITY * 1e-9 / controller.period),
+        rest_periods=round(REST / controller.period),
+        longest=round(LONGEST / controller.period),
+        at_limit=round(AT_LIMIT / controller.period),
+        chatter=number(CHATTER),
+        fast=number(controller.period / FAST),
+        over=number(controller.period / OVER),
+        stream=int(hashlib.sha256(origin.name.encode()).hexdigest()[:7], 16),
+    )
+
+
+def trial_numbers(exported: AxisController, tried: AxisController) -> list[float]:
+    """Return what a component needs for a trial of another controller.
+
+    Parameters
+    ----------
+    exported, tried : AxisController
+        The controller that it was exported with, and the other one.
+
+    Raises
+    ------
+    ValueError
+        If they differ by more than a trial changes.
+    """
+    fixed, numbers = [], []
+    for controller in (exported, tried):
+        values = _values(controller)
+        constants, rows = values.pop('constants'), values.pop('rows')
+        numbers = _tried(constants, rows)
+        for name in ('controller_hash', 'settles'):
+            del values[name]
+        rest = [(item.name, repr(item.value)) for item in constants if item.name not in TRIED]
+        rows = [{**row, 'gain': ''} for row in rows]
+        fixed.append({**dict(rest), **values, 'observer': rows})
+    for name, value in fixed[0].items():
+        if fixed[1].get(name) != value:
+            raise ValueError(
+                'trial: expected a controller that differs in bandwidth, damping and estimator '
+                f'alone from the one that was exported but found another {name}'
+            )
+    return numbers
+
+
+def _tried(constants: Sequence[Constant], rows: Sequence[Mapping[str, str]]) -> list[float]:
+    """Return the numbers of a trial, in the order of the component."""
+    known = [float(item.value) for item in constants if item.name in TRIED]
+    return known + [float(row['gain']) for row in rows]
 
 
 def _values(controller: AxisController) -> dict[str, Any]:

@@ -29,7 +29,34 @@ static const double DYNAMICS[STATES][STATES] = {
 };
 static const double DISTURBANCE[STATES] = { {{ rows | map(attribute='disturbance') | join(', ') }} };
 static const double DUTY[STATES] = { {{ rows | map(attribute='duty') | join(', ') }} };
+{%- if not tried %}
 static const double GAIN[STATES] = { {{ rows | map(attribute='gain') | join(', ') }} };
+{%- endif %}
+{% endif %}
+{%- if tried %}
+/* What the settings decide.  The law takes it from the set in force: the tuned one, or a trial's. */
+typedef struct {
+{%- for item in tried %}
+    double {{ item.name }}; /* {{ item.meaning }}{% if item.unit %} [{{ item.unit }}]{% endif %} */
+{%- endfor %}
+{%- if rows %}
+    double GAIN[STATES]; /* what a difference adds to the states of the observer */
+{%- endif %}
+} {{ name }}_set;
+static const {{ name }}_set TUNED = {
+{%- for item in tried %}
+    {{ item.value | number }},
+{%- endfor %}
+{%- if rows %}
+    { {{ rows | map(attribute='gain') | join(', ') }} },
+{%- endif %}
+};
+{%- for item in tried %}
+#define {{ item.name }} s->set->{{ item.name }}
+{%- endfor %}
+{%- if rows %}
+#define GAIN s->set->GAIN
+{%- endif %}
 {% endif %}
 {%- if law == 'rules' and contracts %}
 /* The rules: between neighbouring cuts of error and rate the surface is a + b x + c y + d x y. */
@@ -84,6 +111,9 @@ typedef struct {
     /* relief from stick-slip */
     int rest, has_reference, still, good, phase, side_before, has_moved, proven;
     double amplitude, held_reference, anchor, mean_error, mean_duty, duty_before, held;
+{%- endif %}
+{%- if tried %}
+    const {{ name }}_set *set;
 {%- endif %}
 } {{ name }}_state;
 
@@ -589,17 +619,22 @@ static int cell_of(double x)
     return cell;
 }
 
-static double surface(double error, double rate)
+static double surface(const {{ name }}_state *s, double error, double rate)
 {
     double x = contracted(error, PER_ERROR, ERROR_EXPONENT, ERROR_FLOOR);
     double y = contracted(rate, PER_RATE, RATE_EXPONENT, RATE_FLOOR);
     const double *cell = CELL[cell_of(x)][cell_of(y)];
-
+{% if not tried %}
+    (void)s;
+{%- endif %}
     return OUTPUT_SCALE * (cell[0] + cell[1] * x + (cell[2] + cell[3] * x) * y);
 }
 {% else %}
-static double surface(double error, double rate)
+static double surface(const {{ name }}_state *s, double error, double rate)
 {
+{%- if not tried %}
+    (void)s;
+{%- endif %}
     return ERROR_GAIN * error + RATE_GAIN * rate;
 }
 {% endif %}
@@ -655,7 +690,7 @@ static double law_wanted({{ name }}_state *s, double reference, double position,
         s->going = moves ? s->way : 0;
     }
     s->error = reference - s->state[POSITION];
-    wanted = surface(s->error, velocity - s->state[VELOCITY]) + s->disturbance + s->friction;
+    wanted = surface(s, s->error, velocity - s->state[VELOCITY]) + s->disturbance + s->friction;
     if (moves) {
         if (RELIEVES)
             relief_release(s);
@@ -689,8 +724,14 @@ static void begin({{ name }}_state *s, double position)
 {{ scope }}void {{ name }}_reset({{ name }}_state *s, double duty)
 {
     static const {{ name }}_state fresh = {0};
+{%- if tried %}
+    const {{ name }}_set *set = s->set;
+{%- endif %}
 
     *s = fresh;
+{%- if tried %}
+    s->set = set;
+{%- endif %}
     s->duty = between(duty, -DUTY_MAX, DUTY_MAX);
     s->share = 1.0;
     s->fresh = s->calm = 2;
