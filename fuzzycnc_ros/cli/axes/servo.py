@@ -194,6 +194,14 @@ def tune(
     machine: Annotated[
         str, typer.Option(help='Name of the machine for --on-machine: the namespace of its nodes.')
     ] = 'mill',
+    linuxcnc: Annotated[
+        OptionalPath,
+        given(
+            'With --on-machine: the axis is one of a LinuxCNC that runs here under an exported '
+            'component; bag to write.',
+            metavar='BAG',
+        ),
+    ] = None,
     jobs: Jobs = None,
     json_file: JsonFile = None,
 ) -> None:
@@ -217,14 +225,27 @@ def tune(
     and the controller that was there comes back.
 
         fuzzycnc servo tune --on-machine --machine-file mill.yaml --axis X --out tuned.yaml
+
+    With --linuxcnc the axis is that of the same name of a LinuxCNC that runs here, under the
+    component that `fuzzycnc linuxcnc install` exports. Other settings of the same controller are
+    tried, and recorded in a bag.
+
+        fuzzycnc servo tune --on-machine --linuxcnc run --machine-file mill.yaml --out tuned.yaml
     """
-    from fuzzycnc_ros.cli.axes.servo_machine import Effort, tune_machine_axis, tune_on_machine
+    from fuzzycnc_ros.cli.axes.servo_machine import (
+        Effort,
+        tune_in_linuxcnc,
+        tune_machine_axis,
+        tune_on_machine,
+    )
 
     check_at_least('--population', population, 1)
     check_at_least('--seed', seed, 0)
     check_at_least('--generations', generations, 1)
     check_new(out)
     check_folder(json_file)
+    if linuxcnc is not None and not on_machine:
+        raise ValueError('--linuxcnc: expected --on-machine with it but found none')
     if on_machine:
         check_at_least('--trials', trials, 1)
         if machine_file is None:
@@ -232,6 +253,10 @@ def tune(
                 '--machine-file: expected the one that servo_controller was started with, for '
                 '--on-machine, but found none'
             )
+        if linuxcnc is not None:
+            check_new(linuxcnc)
+            tune_in_linuxcnc(machine_file, axis, out, trials, linuxcnc, json_file)
+            return
         check_ros('servo tune --on-machine')
         tune_on_machine(machine_file, axis, out, trials, machine, json_file)
         return

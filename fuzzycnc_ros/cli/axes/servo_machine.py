@@ -11,9 +11,12 @@ from typing import TYPE_CHECKING, Any
 from fuzzycnc_ros.cli.console import progress_bar, remark, say, show, write_json, write_text
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from fuzzycnc_ros.cli.workers import Progress
     from fuzzycnc_ros.core.machine.machine_data import AxisData, MachineData
     from fuzzycnc_ros.core.servo.controller import AxisController
+    from fuzzycnc_ros.simulation.servo.axis_trials import Drive
     from fuzzycnc_ros.simulation.servo.axis_tuning import TunedController
     from fuzzycnc_ros.studies.servo.c_text import ExportOrigin
 
@@ -272,21 +275,61 @@ def tune_on_machine(
     from fuzzycnc_ros.cli.live.held_trials import HeldKey, HeldTrials
     from fuzzycnc_ros.cli.live.operator_client import OperatorClient
     from fuzzycnc_ros.core.machine.machine_data import axis_hash
+    from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS
+
+    machine, name, data = machine_axis(file, axis)
+    with OperatorClient(machine_name) as operator, HeldKey() as key:
+        drive = HeldTrials(operator, key, name, axis_hash(name, data))
+        _tune_by_trials(machine, name, drive, AXIS_CONTROLLERS, out, trials, json_file)
+
+
+def tune_in_linuxcnc(
+    file: str, axis: str, out: Path, trials: int, bag: Path, json_file: Path | None
+) -> None:
+    """Tune the settings of an axis of a running LinuxCNC, and write the machine file with them.
+
+    Raises
+    ------
+    ValueError
+        If no settings make their way, or LinuxCNC refuses the trials or is lost.
+    """
+    from fuzzycnc_ros.cli.live.held_trials import HeldKey
+    from fuzzycnc_ros.cli.live.linuxcnc_axis import component_of
+    from fuzzycnc_ros.cli.live.linuxcnc_trials import LinuxcncTrials
+
+    machine, name, data = machine_axis(file, axis)
+    prefix = component_of(name).replace('_', '-')
+    with HeldKey() as key, LinuxcncTrials(key, machine, name, bag, prefix) as drive:
+        kinds = (own_controller(data, None),)
+        _tune_by_trials(machine, name, drive, kinds, out, trials, json_file)
+
+
+def _tune_by_trials(
+    machine: MachineData,
+    name: str,
+    drive: Drive,
+    kinds: Sequence[str],
+    out: Path,
+    trials: int,
+    json_file: Path | None,
+) -> None:
     from fuzzycnc_ros.simulation.servo.axis_trials import TrialSearch
     from fuzzycnc_ros.studies.servo.axis_tuning_tables import (
         axis_trials_table,
         axis_tuning_document,
     )
 
-    machine, name, data = machine_axis(file, axis)
-    with OperatorClient(machine_name) as operator, HeldKey() as key:
-        drive = HeldTrials(operator, key, name, axis_hash(name, data))
-        say(f'{name} is about to move. Hold the space bar; let it go to stop.')
-        with progress_bar('trying on the axis') as tell:
-            search = TrialSearch(
-                data, drive, trials=trials, progress=lambda done, total: tell(name, done, total)
-            )
-            found = search.run()
+    data = machine.axes[name]
+    say(f'{name} is about to move. Hold the space bar; let it go to stop.')
+    with progress_bar('trying on the axis') as tell:
+        search = TrialSearch(
+            data,
+            drive,
+            trials=trials,
+            kinds=kinds,
+            progress=lambda done, total: tell(name, done, total),
+        )
+        found = search.run()
     show(axis_trials_table(found, f'Axis {name} of {machine.name}'))
     for reason in dict.fromkeys(search.reasons):
         say(f'{search.reasons.count(reason)} given up: {reason}')

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from math import inf, sqrt
@@ -85,6 +85,8 @@ class TrialSearch:
         Tries a controller on the axis.
     trials : int
         Controllers that are tried at most; each makes up to three ways there and back.
+    kinds : sequence of str
+        Which controllers may be tried, of `AXIS_CONTROLLERS`.
     progress : callable, optional
         Told after every one: which, of how many.
     """
@@ -95,9 +97,10 @@ class TrialSearch:
         drive: Drive,
         *,
         trials: int = 48,
+        kinds: Sequence[str] = AXIS_CONTROLLERS,
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        self._data, self._drive, self._trials = data, drive, trials
+        self._data, self._drive, self._trials, self._kinds = data, drive, trials, kinds
         self._progress = progress
         self._cases = trial_cases(data)
         plant = data.known_plant()
@@ -156,7 +159,7 @@ class TrialSearch:
         """Yield what is there, what is untuned, and the stiffest that is stable on all models."""
         data, plain = self._data, untuned_settings(self._data)
         yield data.controller or UNTUNED_CONTROLLER, plain | dict(data.settings)
-        for name in AXIS_CONTROLLERS:
+        for name in self._kinds:
             if self._models is not None:
                 ranges = setting_ranges(data, name, SETTINGS)
                 judge = partial(self._models.judge, spread=False)

@@ -89,6 +89,11 @@ def hal_controller(controller: AxisController, origin: ExportOrigin) -> str:
     )
 
 
+def controller_hash(controller: AxisController) -> str:
+    """Return the hash of a controller that its export has."""
+    return str(_values(controller)['controller_hash'])
+
+
 def trial_numbers(exported: AxisController, tried: AxisController) -> list[float]:
     """Return what a component needs for a trial of another controller.
 
