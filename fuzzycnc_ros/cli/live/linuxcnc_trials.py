@@ -29,7 +29,7 @@ from fuzzycnc_ros.adapters.linuxcnc.simulation import PYTHON
 from fuzzycnc_ros.cli.live.held_trials import HeldKey
 from fuzzycnc_ros.components.servo.servo_controller import ServoController
 from fuzzycnc_ros.components.servo.servo_controller_config import file_controller
-from fuzzycnc_ros.components.servo.servo_trial import UNSTABLE
+from fuzzycnc_ros.components.servo.servo_trial import UNSTABLE, vertical_refusal
 from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.machine.machine_data import MachineData, axis_hash
 from fuzzycnc_ros.core.servo.axis_control import UNTUNED_CONTROLLER, make_axis_controller
@@ -91,6 +91,8 @@ class LinuxcncTrials:
         self, key: HeldKey, machine: MachineData, axis: str, bag: Path, prefix: str
     ) -> None:
         data = machine.axes[axis]
+        if data.limits.vertical:
+            raise ValueError(vertical_refusal(axis))
         self._key, self._machine, self._axis, self._data = key, machine, axis, data
         self._hash = axis_hash(axis, data)
         self._law = data.controller or UNTUNED_CONTROLLER
@@ -390,7 +392,7 @@ class LinuxcncTrials:
             stream.write(json.dumps({'op': operation, **values}).encode() + b'\n')
             stream.flush()
         except OSError:
-            raise ValueError('LinuxCNC has ended') from None
+            raise ValueError('LinuxCNC, or the process beside it, has ended') from None
         return self._answer()
 
     def _answer(self) -> dict[str, Any]:
@@ -400,7 +402,7 @@ class LinuxcncTrials:
             raise ValueError(f'LinuxCNC: expected an answer within {ANSWER:g} s but found none')
         line = stream.readline()
         if not line:
-            raise ValueError('LinuxCNC has ended')
+            raise ValueError('LinuxCNC, or the process beside it, has ended')
         answer: dict[str, Any] = json.loads(line)
         if set(answer) == {'error'}:
             raise ValueError(answer['error'])

@@ -367,10 +367,7 @@ class ServoTrials:
                 'found another; give that one, or start the node with this one'
             )
         if self._known[name].limits.vertical:
-            return (
-                f'{name}: expected an axis that stays where its drive gives way but found a '
-                'vertical one, and no brake that the node can set; tune it on its model'
-            )
+            return vertical_refusal(name)
         numbers = (asked.gain, asked.way, asked.pace, asked.error_max)
         if not (
             0.0 < asked.gain <= GAIN_MAX
@@ -436,6 +433,14 @@ class ServoTrials:
                 f'way: expected there and back within {LONGEST:g} s but found {time:.1f} s'
             )
         return course
+
+
+def vertical_refusal(axis: str) -> str:
+    """Say why no controller is tried on a vertical axis."""
+    return (
+        f'{axis}: expected an axis that stays where its drive gives way but found a vertical one, '
+        'and no brake that the node can set; tune it on its model'
+    )
 
 
 def machine_forbids(machine: MachineState | None) -> str:
