@@ -11,8 +11,10 @@ from benches.servo_bench import PERIOD, Axis
 
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
 from fuzzycnc_ros.core.machine.machine_data import AxisData, AxisLimits, axis_hash, axis_texts
+from fuzzycnc_ros.core.servo.course import there_and_back
+from fuzzycnc_ros.core.servo.profile import ProfileLimits
 from fuzzycnc_ros.runtime.enums import MachineMode, ServoStatus, TrialStatus
-from fuzzycnc_ros.runtime.records import SECOND, ServoTrial
+from fuzzycnc_ros.runtime.records import SECOND, ServoTrial, Trajectory
 from fuzzycnc_ros.simulation.servo.axes import BallscrewAxis
 
 DATA = AxisData(
@@ -107,6 +109,38 @@ def test_a_factor_on_the_duty_is_an_axis_of_that_gain():
     mine, its = (axis.records('servo_trial_state')[-1] for axis in (scaled, strong))
     assert mine.rms == pytest.approx(its.rms, rel=0.02)
     assert mine.largest == pytest.approx(its.largest, rel=0.05)
+
+
+def test_a_trajectory_leads_a_trial_without_a_way_of_its_own():
+    led, own = Tried(), Tried()
+    own.held(COURSE)
+    limits = ProfileLimits(velocity=0.1, acceleration=1.0, jerk=30.0)
+    rows = there_and_back(WAY, limits, 1e-3).rows
+    led.sign(way=0.0)
+    led.run(0.002)
+    part = Trajectory(
+        stamp=led.now,
+        frame_id='mill/workpiece',
+        path_id='led',
+        epoch=1,
+        part=0,
+        last=True,
+        start=led.now + 5 * PERIOD,
+        period=1e-3,
+        committed=len(rows),
+        axis=('X',),
+        position=rows[:, 0] + led.merger.component._axes[0].reference,
+        velocity=rows[:, 1],
+        arc_length=np.append(0.0, np.cumsum(np.abs(np.diff(rows[:, 0])))),
+    )
+    assert led.push('trajectory', part)
+    led.held(COURSE, way=0.0)
+    assert led.outcome() == (TrialStatus.DONE, '')
+    mine, its = (axis.records('servo_trial_state')[-1] for axis in (led, own))
+    assert mine.rms == pytest.approx(its.rms, rel=0.1)
+    assert mine.largest == pytest.approx(its.largest, rel=0.1)
+    assert mine.rest == pytest.approx(its.rest, rel=0.5)
+    assert led.is_back()
 
 
 def test_a_trial_ends_half_a_second_after_the_last_sign_of_life():

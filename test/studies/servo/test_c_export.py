@@ -11,6 +11,7 @@ import subprocess
 import numpy as np
 import pytest
 
+from fuzzycnc_ros.core.servo.axis_control import AXIS_CONTROLLERS, make_axis_controller
 from fuzzycnc_ros.core.servo.built_in import built_in_controller
 from fuzzycnc_ros.core.servo.pid_cascade import CascadeController, PidController
 from fuzzycnc_ros.core.servo.variable_universe import (
@@ -18,7 +19,8 @@ from fuzzycnc_ros.core.servo.variable_universe import (
     LinearSurface,
     VariableUniverseController,
 )
-from fuzzycnc_ros.studies.servo.c_export import c_controller
+from fuzzycnc_ros.machine_file.reader import read_machine_file
+from fuzzycnc_ros.studies.servo.c_export import c_controller, hal_controller, trial_numbers
 from fuzzycnc_ros.studies.servo.c_text import ExportOrigin
 
 COMPILERS = [name for name in ('gcc', 'clang') if shutil.which(name)]
@@ -154,6 +156,20 @@ def drive(law, controller, others, steps, seed):
             for each in (controller, *others):
                 each.reset(where, duty)
     return seen
+
+
+def test_a_trial_has_the_numbers_of_its_settings_and_no_other_law():
+    data = read_machine_file('ballscrew').axes['X']
+    slow, fast = ({'bandwidth': speed, 'estimator': speed} for speed in (1.0, 2.0))
+    for law in AXIS_CONTROLLERS:
+        own, other = (make_axis_controller(data, law, given) for given in (slow, fast))
+        text = hal_controller(own, ExportOrigin('axis', law, 'a test', '0' * 64))
+        tuned = re.search('_set TUNED = {(.*?)\n};', text, re.S)[1]
+        assert [float(one) for one in re.findall(r'[-\d.e]+', tuned)] == trial_numbers(own, own)
+        assert trial_numbers(own, other) != trial_numbers(own, own)
+        without = make_axis_controller(data, law, {**slow, 'friction': 0.5})
+        with pytest.raises(ValueError, match='found another FRICTION'):
+            trial_numbers(own, without)
 
 
 @pytest.mark.parametrize(
