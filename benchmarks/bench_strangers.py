@@ -163,6 +163,11 @@ def judged(piece: tuple[int, str, int, int, int, bool]) -> dict[str, Any]:
     warnings.simplefilter('ignore')
     axis = draw(seed)
     truth = axis.truth
+    row: dict[str, Any] = {'seed': seed, 'kind': truth['kind'], 'how': how, 'refused': ''}
+    try:
+        recording = recorded(axis, how)
+    except RuntimeError:  # the generator has no loop that this axis could come with
+        return row | {'skipped': True}
     low, high = truth['limits']
     limits = AxisLimits(
         velocity=truth['speed_max'],
@@ -170,8 +175,7 @@ def judged(piece: tuple[int, str, int, int, int, bool]) -> dict[str, Any]:
         travel_low=low,
         travel_high=high,
     )
-    row: dict[str, Any] = {'seed': seed, 'kind': truth['kind'], 'how': how, 'refused': ''}
-    found = identify_axis([recorded(axis, how)])
+    found = identify_axis([recording])
     data = replace(found.data, limits=replace(limits, resonance=found.data.limits.resonance))
     row |= _told(found, truth)
     plain = replace(data, knowledge=replace(data.knowledge, not_fit_for_control=''))
@@ -301,6 +305,9 @@ def main() -> int:
     rows: list[dict[str, Any]] = []
     with ProcessPoolExecutor(asked.jobs) as workers:
         for row in workers.map(judged, pieces):
+            if row.get('skipped'):
+                print(f'{row["seed"]}: no loop that it could come with', file=sys.stderr)
+                continue
             rows.append(row)
             print(row_text(row), file=sys.stderr, flush=True)
     shown(rows)

@@ -44,6 +44,9 @@ common is the controller turned round, at a coherence of 1.
 _GAP = 1.5
 """Ratio of two frequencies between which lines may be unknown without a resonance there [-]."""
 
+_QUIET = 0.7
+"""All acceleration over what a rigid axis would show up to which an axis hardly moves [-]."""
+
 _ALIKE, _MOVED, _ALL = 0.8, 0.6, 0.97
 """Coherence of command and acceleration from which a line is told, and of the set point with
 either of them where that is the instrument [-].  Averaging mends noise, not friction and
@@ -70,6 +73,9 @@ class FrequencyResponse:
         Relative standard error of each line [-].
     excited : ndarray of bool, shape (n,)
         Lines where the command, or the set point, moves the axis beyond all noise.
+    quiet : ndarray of bool, shape (n,)
+        Lines where the command would move a rigid axis beyond all noise and the axis hardly moves:
+        about an antiresonance, where a resonance cannot be.
     share : ndarray, shape (n,)
         How much a line counts beside its neighbours, which it shares data with [-].
     by_reference : bool
@@ -80,6 +86,7 @@ class FrequencyResponse:
     response: NDArray[np.complex128]
     error: Array
     excited: NDArray[np.bool_]
+    quiet: NDArray[np.bool_]
     share: Array
     by_reference: bool
 
@@ -91,11 +98,13 @@ class FrequencyResponse:
     @property
     def known_to(self) -> float:
         """Frequency up to which the response is known without a gap [Hz]; 0 if nowhere."""
-        lines = self.frequency[self.known]
-        if not len(lines):
+        known = self.known
+        if not known.any():
             return 0.0
+        lines = self.frequency[known | (self.quiet & np.maximum.accumulate(known))]
         gaps = np.flatnonzero(lines[1:] > _GAP * lines[:-1])
-        return float(lines[gaps[0]] if len(gaps) else lines[-1])
+        top = lines[gaps[0]] if len(gaps) else lines[-1]
+        return float(self.frequency[known & (self.frequency <= top)].max())
 
 
 def frequency_response(recordings: Sequence[AxisRecording], gain: float) -> FrequencyResponse:
@@ -132,6 +141,7 @@ def frequency_response(recordings: Sequence[AxisRecording], gain: float) -> Freq
         chosen = _Spectra(lines, long, instrument=True)
     response, error = chosen.estimate()
     excited = gain * gain * direct.uu > _EXCITED**2 * direct.noise(period)
+    quiet = excited & (direct.aa < _QUIET**2 * gain * gain * direct.uu)
     excited &= direct.moves >= _ALIKE
     if chosen is not direct:
         strong = np.minimum(chosen.coherence, chosen.moves) >= _MOVED
@@ -149,6 +159,7 @@ def frequency_response(recordings: Sequence[AxisRecording], gain: float) -> Freq
         response,
         np.hypot(np.maximum(error, _FLOOR), _RUBS / lines),
         excited,
+        quiet,
         np.minimum((_RATIO - 1.0) * lines / width, 1.0),
         chosen is not direct,
     )

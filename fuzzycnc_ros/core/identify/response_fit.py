@@ -65,7 +65,20 @@ _HALVINGS = 6
 
 _SYSTEMATIC = {'mode': 0.06, 'damping': 0.5}
 """Relative half width that an interval does not fall below, else 2 % [-]: a mode moves with the
-friction of its masses and with backlash."""
+friction of its masses."""
+
+_SOFTENED = 0.15
+"""The same above a mode [-]: with backlash a spring answers lower than with its gap closed."""
+
+_SHOWN = ((0.0, 0.05), (2.0, 0.05), (0.0, 0.3))
+"""Ratio and damping of the modes that are looked for beyond the known lines."""
+
+_LATE = 0.1
+"""Share that is added to either end of the interval of dead time and lag [-]: friction and
+backlash turn the phase, too."""
+
+_SHARES = (0.15, 0.85)
+"""Shares of the lag in a dead time with which its search begins [-]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,6 +151,9 @@ class ResponseFit:
     gain, viscous, delay, mode, damping, ratio : Interval
         Intervals of its parameters.  Where no mode is told that of `mode` begins at the lowest
         frequency at which the lines leave room for one that moves half of the mass or more.
+    late : Interval
+        Dead time and lag of the drive together [s].  The model has no lag: `delay` is the dead
+        time that answers like both at the known lines.
     known_to : float
         Frequency up to which the response is known without a gap [Hz].
     frequency, remainder : ndarray, shape (n,)
@@ -154,6 +170,7 @@ class ResponseFit:
     mode: Interval
     damping: Interval
     ratio: Interval
+    late: Interval
     known_to: float
     frequency: Array
     remainder: Array
@@ -175,6 +192,8 @@ _BOUNDS = {
     'mode': (0.1, 1e4),
     'damping': (2e-3, 0.5),
     'ratio': (0.0, 30.0),
+    'total': (0.0, DEAD_TIME_MAX),
+    'share': (0.0, 1.0),
 }
 
 
@@ -204,24 +223,31 @@ def fit_response(response: FrequencyResponse, gain: float, viscous: float) -> Re
         for v in (max(viscous, 0.1), 30.0 * max(viscous, 0.1))
     ]
     rigid = min((search.best(start) for start in starts), key=lambda one: one.cost)
-    found = closest = rigid
+    lagging = search.lagging(rigid)
+    found, closest, bend = rigid, rigid, lagging
     for mode in np.geomspace(_LOWEST_MODE, max(1.3 * top, 2.0 * _LOWEST_MODE), 14):
         for ratio in (0.02, 2.0):
             start = rigid.values | {'mode': float(mode), 'damping': 0.06, 'ratio': ratio}
             other = search.best(start)
             closest = min(closest, other, key=lambda one: one.cost)
+            if other.cost < _WORTH * bend.cost and search.within(other, top):
+                bend = other
             if other.cost < _WORTH * rigid.cost and other.cost < found.cost:
                 if search.shows(other, top):
                     found = other
     model = LinearResponse(**found.values)
     ends = search.intervals(found)
     if not model.mode:
-        ends['mode'] = Interval(search.room(found, top), inf)
+        low = search.room(found, top)
+        if bend is not lagging:  # too broad to be told as a mode, but it may be one
+            low = min(low, bend.intervals()['mode'].low)
+        ends['mode'] = Interval(low, inf)
     if closest.cost < _WORTH * found.cost:  # a mode that may not be told may still be there
         wider = search.intervals(closest)
         for name in _RIGID:
             ends[name] = ends[name].joined(wider[name])
     least = min(ends['delay'].low, search.with_lag(found))
+    unseen = 0.0 if model.mode else _LAGGING / (pi * ends['mode'].low)
     if model.ratio < 1.0 or not model.mode:
         damping = model.damping if model.mode else _LAGGING
         least = max(least - 2.0 * damping / (2.0 * pi * ends['mode'].low), 0.0)
@@ -237,6 +263,12 @@ def fit_response(response: FrequencyResponse, gain: float, viscous: float) -> Re
         ends['mode'],
         ends.get('damping', nothing),
         ends.get('ratio', nothing),
+        search.late(
+            lagging
+            if bend is lagging and not model.mode
+            else search.lagging(found if model.mode else bend),
+            unseen,
+        ),
         top,
         response.frequency,
         np.asarray(np.abs(measured - 1.0) + 2.0 * response.error * np.abs(measured)),
@@ -271,7 +303,8 @@ class _SearchEnd:
                 width += _DELAY_ERROR
             if name in _LOGS:
                 width = max(width, _SYSTEMATIC.get(name, 0.02))
-                low, high = value * exp(-min(width, 50.0)), value * exp(min(width, 50.0))
+                above = max(width, _SOFTENED) if name == 'mode' else width
+                low, high = value * exp(-min(width, 50.0)), value * exp(min(above, 50.0))
             else:
                 low, high = value - width, value + width
             ends[name] = Interval(max(low, least), min(high, most))
@@ -289,6 +322,10 @@ class _Search:
         self.free = max(2.0 * float(response.share[lines].sum()) - 6.0, 1.0)
 
     def _left(self, values: dict[str, float], lag: float = 0.0) -> Array:
+        if 'total' in values:
+            values = dict(values)
+            total, share = values.pop('total'), values.pop('share')
+            values['delay'], lag = (1.0 - share) * total, share * total
         modelled = LinearResponse(**values).at(self.frequency)
         if lag:
             modelled = modelled / (1.0 + 2j * pi * self.frequency * lag)
@@ -301,7 +338,7 @@ class _Search:
         bounds = np.array([_BOUNDS[name] for name in names])
         logs = np.array([name in _LOGS for name in names])
         bounds[logs] = np.log(bounds[logs])
-        scale = np.array([1e-3 if name == 'delay' else 1.0 for name in names])
+        scale = np.array([1e-3 if name in ('delay', 'total') else 1.0 for name in names])
 
         def values(point: Array) -> dict[str, float]:
             found = point * scale
@@ -351,13 +388,49 @@ class _Search:
         lowest = 8.0 * top
         for mode in np.geomspace(8.0 * top, self.frequency[0], 40).tolist():
             costs = [
-                self.best(rigid.values, {'mode': mode, 'damping': 0.05, 'ratio': ratio}).cost
-                for ratio in (0.0, 2.0)
+                self.best(rigid.values, {'mode': mode, 'damping': damping, 'ratio': ratio}).cost
+                for ratio, damping in _SHOWN
             ]
             if min(costs) > most:
                 break
             lowest = mode
         return lowest
+
+    def lagging(self, found: _SearchEnd) -> _SearchEnd:
+        """Return the best fit whose dead time is part of a total, and a lag the other share."""
+        rest = {name: value for name, value in found.values.items() if name != 'delay'}
+        rest['total'] = max(found.values['delay'], 1e-4)
+        ends = [self.best(rest | {'share': share}) for share in _SHARES]
+        return min(ends, key=lambda end: end.cost)
+
+    def late(self, best: _SearchEnd, unseen: float) -> Interval:
+        """Return the interval of dead time and lag together, by their profile likelihood [s].
+
+        Parameters
+        ----------
+        best : _SearchEnd
+            Of `lagging`.
+        unseen : float
+            Lag of a mode that does not show [s].
+        """
+        centre = best.values['total']
+        rest = {n: value for n, value in best.values.items() if n not in ('total', 'share')}
+        most = best.cost + 0.5 * _SIGMAS**2 * max(2.0 * best.cost / self.free, 1.0)
+
+        def fits(total: float) -> bool:
+            held = {'total': total}
+            return any(self.best(rest | {'share': s}, held).cost <= most for s in _SHARES)
+
+        ends = []
+        for out in (0.0, min(3.0 * centre + 2e-3, DEAD_TIME_MAX)):
+            near, far = centre, out
+            if not fits(far):
+                for _ in range(_HALVINGS):
+                    middle = 0.5 * (near + far)
+                    near, far = (middle, far) if fits(middle) else (near, middle)
+            ends.append(far)
+        low, high = ends[0] - _LATE * centre, ends[1] + _LATE * centre
+        return Interval(max(low - _DELAY_ERROR - unseen, 0.0), high + _DELAY_ERROR)
 
     def with_lag(self, found: _SearchEnd) -> float:
         """Return the least dead time if part of it is a lag [s]."""
@@ -371,13 +444,17 @@ class _Search:
                 least = min(least, (1.0 - share) * delay)
         return least
 
+    def within(self, found: _SearchEnd, top: float) -> bool:
+        """Return True if a mode lies at one place among the known lines."""
+        mode, ends = found.values['mode'], found.intervals()['mode']
+        if not max(_LOWEST_MODE, 2.0 * self.frequency[0]) < mode < top / _BEYOND:
+            return False
+        return ends.high <= _SHARP * ends.low
+
     def shows(self, found: _SearchEnd, top: float) -> bool:
         """Return True if a mode lies among the known lines and makes a difference there."""
         mode = found.values['mode']
-        if not max(_LOWEST_MODE, 2.0 * self.frequency[0]) < mode < top / _BEYOND:
-            return False
-        ends = found.intervals()['mode']
-        if ends.high > _SHARP * ends.low or found.values['damping'] > _DAMPED:
+        if not self.within(found, top) or found.values['damping'] > _DAMPED:
             return False
         model = LinearResponse(**found.values)
         plain = LinearResponse(**{name: found.values[name] for name in _RIGID})

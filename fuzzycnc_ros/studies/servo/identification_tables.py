@@ -53,13 +53,12 @@ def axis_fit_table(found: IdentifiedAxis, title: str) -> Table:
     if linear is None:
         rows += [('dead time', 'unknown', '', 'ms'), ('lowest resonance', 'unknown', '', 'Hz')]
     else:
-        delay = linear.delay
-        told = delay.high <= _TOLD * delay.low or delay.high < _PERIODS * found.period
+        late = linear.late
         rows.append(
             (
                 'dead time, with lags',
-                f'{1e3 * linear.model.delay:.3g}' if told else 'unknown',
-                f'{1e3 * delay.low:.3g} to {1e3 * delay.high:.3g}',
+                f'{500.0 * (late.low + late.high):.3g}' if _told(found) else 'unknown',
+                f'{1e3 * late.low:.3g} to {1e3 * late.high:.3g}',
                 'ms',
             )
         )
@@ -82,6 +81,14 @@ def axis_fit_table(found: IdentifiedAxis, title: str) -> Table:
 _TOLD, _PERIODS = 4.0, 0.5
 """Ratio of the ends of an interval up to which a dead time is told, and its upper end in periods
 up to which it is as good as none."""
+
+
+def _told(found: IdentifiedAxis) -> bool:
+    """Return True if dead time and lags are told."""
+    if found.linear is None:
+        return False
+    late = found.linear.late
+    return late.high <= _TOLD * late.low or late.high < _PERIODS * found.period
 
 
 def axis_fit_remarks(found: IdentifiedAxis, force: float | None) -> list[Remark]:
@@ -113,16 +120,16 @@ def axis_fit_remarks(found: IdentifiedAxis, force: float | None) -> list[Remark]
         lines.append(
             Remark(
                 'lowest resonance: the recording moves the axis too little at its frequency, and '
-                'what moves by itself says nothing of the drive; a chirp that `fuzzycnc machine '
-                'excite` writes would show it',
+                'what moves by itself says nothing of the drive; the chirp of duties that '
+                '`fuzzycnc machine excite --duty` writes would show it',
                 warning=True,
             )
         )
-    if linear is not None and linear.delay.high > _TOLD * max(linear.delay.low, 1e-4):
+    if linear is not None and not _told(found):
         lines.append(
             Remark(
-                f'dead time: anything up to {1e3 * linear.delay.high:.2g} ms, which is reckoned '
-                'with; a chirp that `fuzzycnc machine excite` writes would show it',
+                f'dead time: up to {1e3 * linear.delay.high:.2g} ms is reckoned with; the chirp of '
+                'duties that `fuzzycnc machine excite --duty` writes would show it',
                 warning=True,
             )
         )
@@ -162,7 +169,11 @@ def axis_fit_document(found: IdentifiedAxis) -> dict[str, Any]:
             'resonance_known': linear.resonance_known,
             'interval': {
                 name: [one.low, one.high if isfinite(one.high) else None]
-                for name, one in (('delay', linear.delay), ('mode', linear.mode))
+                for name, one in (
+                    ('delay', linear.delay),
+                    ('late', linear.late),
+                    ('mode', linear.mode),
+                )
             },
         }
     return document

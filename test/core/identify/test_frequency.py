@@ -95,7 +95,7 @@ def test_a_broad_bend_of_the_response_is_no_mode(damping, told):
     size = len(frequency)
     response = FrequencyResponse(
         frequency, known.at(frequency), np.full(size, 0.02), np.ones(size, bool),
-        np.ones(size), by_reference=False,
+        np.zeros(size, bool), np.ones(size), by_reference=False,
     )  # fmt: skip
     found = fit_response(response, 9.0, 4.0)
     assert found.resonance_known == told
@@ -110,7 +110,8 @@ def test_what_answers_by_its_speed_is_known_in_level_not_in_gain():
     size = len(frequency)
     response = FrequencyResponse(
         frequency, axis.at(frequency) * np.exp(0.05 * (draw[0] + 1j * draw[1])),
-        np.full(size, 0.05), np.ones(size, bool), np.ones(size), by_reference=False,
+        np.full(size, 0.05), np.ones(size, bool), np.zeros(size, bool), np.ones(size),
+        by_reference=False,
     )  # fmt: skip
     found = fit_response(response, 280.0, 300.0)
     assert found.gain.high > 2.0 * found.gain.low
@@ -127,7 +128,7 @@ def test_a_dead_time_that_no_response_fits_is_excluded():
     size = len(frequency)
     response = FrequencyResponse(
         frequency, axis.at(frequency), np.full(size, 0.1), np.ones(size, bool),
-        np.full(size, 0.5), by_reference=False,
+        np.zeros(size, bool), np.full(size, 0.5), by_reference=False,
     )  # fmt: skip
     found = fit_response(response, 3.6, 30.0)
     assert found.resonance_known
