@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite, sqrt
+from typing import Any
 
 import numpy as np
 from scipy.signal import savgol_filter
@@ -15,8 +16,10 @@ from fuzzycnc_ros.core.arrays import Array
 from fuzzycnc_ros.core.identify.axis_fit import (
     AxisFit,
     AxisRecording,
+    FrictionByRecording,
     check_recordings,
     fit_axis,
+    friction_by_recording,
     inverse_dynamics,
     late,
 )
@@ -72,6 +75,8 @@ class IdentifiedAxis:
         Machine data.
     period : float
         Time between two samples [s].
+    friction : FrictionByRecording or None
+        Friction of each recording; None where there is one, or the axis answers by its speed.
     """
 
     fit: AxisFit
@@ -79,6 +84,7 @@ class IdentifiedAxis:
     linear: ResponseFit | None
     data: AxisData
     period: float
+    friction: FrictionByRecording | None = None
 
 
 def identify_axis(
@@ -92,7 +98,8 @@ def identify_axis(
     """Identify an axis from recordings of its duty and its position.
 
     Dead time, mode and how far they are known come from the frequency response, friction from the
-    course of the position, with the gain between the ends that the response leaves.
+    course of the position, with the gain between the ends that the response leaves.  Of several
+    recordings the friction of the last one is taken where each tells the friction of the next.
 
     Parameters
     ----------
@@ -122,9 +129,23 @@ def identify_axis(
         delay = linear.model.delay
         if linear.gain.high < 2.0 * linear.gain.low:
             gain = 0.92 * linear.gain.low, 1.08 * linear.gain.high
-    fit = fit_axis([late(one, delay) for one in recordings], progress, gain=gain)
+    acting = [late(one, delay) for one in recordings]
+    fit = fit_axis(acting, progress, gain=gain)
     data = _machine_data(fit, linear, recordings, force=force, direction=direction, before=before)
-    return IdentifiedAxis(fit, response, linear, data, recordings[0].period)
+    friction = None
+    if len(recordings) > 1 and fit.model.viscous_forward < _FOLLOWS:
+        friction = friction_by_recording(acting, fit.model)
+        data = _rubbing_as_last(data, friction.latest)
+    return IdentifiedAxis(fit, response, linear, data, recordings[0].period, friction)
+
+
+def _rubbing_as_last(data: AxisData, factor: float) -> AxisData:
+    plant = data.plant
+    assert isinstance(plant, BallscrewAxisConfig)
+    names = ('viscous_forward', 'viscous_backward', 'coulomb_forward', 'coulomb_backward')
+    scaled: dict[str, Any] = {name: factor * getattr(plant, name) for name in names}
+    scaled |= {name: max(scaled[name], 1.0) for name in names[:2]}
+    return replace(data, plant=replace(plant, **scaled))
 
 
 def _machine_data(

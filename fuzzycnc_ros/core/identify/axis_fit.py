@@ -16,7 +16,7 @@ from math import exp, inf, log, sqrt
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import savgol_filter
 from scipy.stats import t as student
 
@@ -358,6 +358,83 @@ def fit_axis(
         trials,
         residual,
     )
+
+
+@dataclass(frozen=True)
+class FrictionByRecording:
+    """Friction of recordings in their order, as factors on that of a model.
+
+    Attributes
+    ----------
+    factors : tuple of float
+        Factor on all friction of each recording [-].
+    plain, learnt : float
+        Open-loop error on stretches of all recordings but the first, with the friction of the
+        model and with that of the recording before [m].
+    """
+
+    factors: tuple[float, ...]
+    plain: float
+    learnt: float
+
+    @property
+    def latest(self) -> float:
+        """Factor of the last recording; 1 where learning from the one before was no better."""
+        return self.factors[-1] if self.learnt < BETTER * self.plain else 1.0
+
+
+def friction_by_recording(
+    recordings: Sequence[AxisRecording], model: AxisModel
+) -> FrictionByRecording:
+    """Fit one factor on the friction of a model to each recording.
+
+    Friction changes with warmth, lubrication and rest; gain and mass do not.
+
+    Parameters
+    ----------
+    recordings : sequence of AxisRecording
+        Two or more, in the order of their days.
+    model : AxisModel
+        Fitted to all of them.
+    """
+
+    def squares(factor: float, one: AxisRecording) -> float:
+        scaled = _rubbing(model, factor)
+        return sum(float((_errors(scaled, part) ** 2).sum()) for part in _cut([one], _DAY))
+
+    search: Any = minimize_scalar
+    factors = [
+        exp(
+            search(
+                lambda size, one=one: squares(exp(size), one),
+                bounds=(-log(_DRIFT), log(_DRIFT)),
+                method='bounded',
+                options={'xatol': 0.01},
+            ).x
+        )
+        for one in recordings
+    ]
+    later = recordings[1:]
+    count = sum(len(part.command) for one in later for part in _cut([one], _DAY))
+    before = zip(factors[:-1], later, strict=True)
+    return FrictionByRecording(
+        tuple(factors),
+        sqrt(sum(squares(1.0, one) for one in later) / count),
+        sqrt(sum(squares(factor, one) for factor, one in before) / count),
+    )
+
+
+def _rubbing(model: AxisModel, factor: float) -> AxisModel:
+    return replace(
+        model,
+        viscous_forward=factor * model.viscous_forward,
+        viscous_backward=factor * model.viscous_backward,
+        coulomb=factor * model.coulomb,
+    )
+
+
+_DAY, _DRIFT = 5, 4.0
+"""Stretches into which a recording is cut for its own friction, and the largest factor on that."""
 
 
 def check_recordings(recordings: Sequence[AxisRecording]) -> None:

@@ -103,6 +103,17 @@ def axis_fit_remarks(found: IdentifiedAxis, force: float | None) -> list[Remark]
         ),
         Remark(f'unexplained: {100.0 * known.unexplained:.2g} % of the acceleration'),
     ]
+    rubs = found.friction
+    if rubs is not None:
+        factors = ', '.join(f'{factor:.2g}' for factor in rubs.factors)
+        taken = f'times {rubs.latest:.2g}' if rubs.latest != 1.0 else 'of all recordings'
+        lines.append(
+            Remark(
+                f'friction of each recording over that of all: {factors}; learnt from the one '
+                f'before, it takes the open-loop error of the next from {1e3 * rubs.plain:.3g} to '
+                f'{1e3 * rubs.learnt:.3g} mm rms; the file has that {taken}'
+            )
+        )
     if share > 10.0:
         lines.append(
             Remark(
@@ -128,8 +139,8 @@ def axis_fit_remarks(found: IdentifiedAxis, force: float | None) -> list[Remark]
     if linear is not None and not _told(found):
         lines.append(
             Remark(
-                f'dead time: up to {1e3 * linear.delay.high:.2g} ms is reckoned with; the chirp of '
-                'duties that `fuzzycnc machine excite --duty` writes would show it',
+                f'dead time: up to {1e3 * linear.delay.high:.2g} ms is reckoned with; the chirp '
+                'of duties that `fuzzycnc machine excite --duty` writes would show it',
                 warning=True,
             )
         )
@@ -158,6 +169,7 @@ def axis_fit_document(found: IdentifiedAxis) -> dict[str, Any]:
         'rms': fit.rms,
         'held_out_rms': fit.held_out_rms,
         'structures': fit.trials,
+        'friction_by_recording': found.friction and asdict(found.friction),
         'unexplained': found.data.knowledge.unexplained,
         'not_fit_for_control': found.data.knowledge.not_fit_for_control,
         'response': None,

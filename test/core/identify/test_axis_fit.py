@@ -11,7 +11,13 @@ from tiers import rest_slow
 from two_mass_axis import TwoMassAxis, TwoMassConfig, operated
 
 from fuzzycnc_ros.core.identify.axis_data import identify_axis, reading_noise, sensor_count
-from fuzzycnc_ros.core.identify.axis_fit import AxisRecording, fit_axis, late
+from fuzzycnc_ros.core.identify.axis_fit import (
+    AxisModel,
+    AxisRecording,
+    fit_axis,
+    friction_by_recording,
+    late,
+)
 from fuzzycnc_ros.core.identify.loop_fit import fit_loop, following
 from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
 from fuzzycnc_ros.core.servo.axis_control import make_axis_controller
@@ -142,3 +148,22 @@ def test_a_path_in_another_unit_is_no_following():
     path = 0.02 * np.sin(6.0 * PERIOD * np.arange(2000))
     with pytest.raises(ValueError, match='is the unit the same'):
         fit_loop(path, 1e-3 * path, PERIOD)
+
+
+def test_friction_that_changes_from_day_to_day_is_learnt_from_the_day_before():
+    """Four days of an axis whose friction rises by a half after the first one and stays."""
+    model = AxisModel(gain=3.7, viscous_forward=2.0, viscous_backward=2.0, coulomb=0.2, offset=0.0)
+    days = []
+    for number, factor in enumerate((1.0, 1.5, 1.5, 1.5)):
+        duty = 0.4 * np.sin(2e-3 * np.arange(1500) + number) + 0.1
+        rubs = replace(
+            model, viscous_forward=2.0 * factor, viscous_backward=2.0 * factor,
+            coulomb=0.2 * factor,
+        )  # fmt: skip
+        days.append(AxisRecording(duty, np.round(rubs.simulate(duty, 1e-3), 6), 1e-3))
+    found = friction_by_recording(days, model)
+    assert found.factors == pytest.approx((1.0, 1.5, 1.5, 1.5), rel=0.05)
+    assert found.learnt < 0.8 * found.plain
+    assert found.latest == found.factors[-1]
+    # what comes and goes is not learnt
+    assert friction_by_recording([days[0], days[1], days[0]], model).latest == 1.0
