@@ -71,7 +71,8 @@ _SOFTENED = 0.15
 """The same above a mode [-]: with backlash a spring answers lower than with its gap closed."""
 
 _SHOWN = ((0.0, 0.05), (2.0, 0.05), (0.0, 0.3))
-"""Ratio and damping of the modes that are looked for beyond the known lines."""
+"""Ratio and damping of the modes that are looked for beyond the known lines, the broadest last: it
+may lag by 2 z / w, which is no dead time."""
 
 _LATE = 0.1
 """Share that is added to either end of the interval of dead time and lag [-]: friction and
@@ -247,7 +248,7 @@ def fit_response(response: FrequencyResponse, gain: float, viscous: float) -> Re
         for name in _RIGID:
             ends[name] = ends[name].joined(wider[name])
     least = min(ends['delay'].low, search.with_lag(found))
-    unseen = 0.0 if model.mode else _LAGGING / (pi * ends['mode'].low)
+    unseen = 0.0 if model.mode else _SHOWN[-1][1] / (pi * ends['mode'].low)
     if model.ratio < 1.0 or not model.mode:
         damping = model.damping if model.mode else _LAGGING
         least = max(least - 2.0 * damping / (2.0 * pi * ends['mode'].low), 0.0)

@@ -80,6 +80,17 @@ _SCANNED = 200
 _STIFFER = 10
 """Generations of the search for the stiffest settings that are stable."""
 
+_JUMPS, _JUMP_TIME = (1.0, -1.0, 0.0), 0.6
+"""Set points, in jumps, to which an identified axis is sent without a profile, and the time for
+each [s]: a loop may be stable where it is linear, and keep up an oscillation between the ends of
+its duty once a jump has begun it."""
+
+_JUMP, _JUMP_SHARE, _JUMP_COUNTS = 1e-3, 0.004, 30.0
+"""Largest jump [m], as share of the travel, and the least one in counts."""
+
+_CHATTER = 0.1
+"""RMS of the duty about its mean in the second half of that time from which it chatters [-]."""
+
 _PER_FAULT = 100.0
 """Factor on the cost for each case that is given up [-]."""
 
@@ -148,6 +159,8 @@ class TunedController:
         Cost on these [m].
     margin : LoopMargin or None
         Distance of its loop from instability; None where nothing is known but a model.
+    calm : bool
+        Whether it comes to rest after jumps of the set point, as far as that was asked.
     """
 
     name: str
@@ -157,11 +170,12 @@ class TunedController:
     held_out: tuple[AxisFigures, ...]
     held_out_cost: float
     margin: LoopMargin | None = None
+    calm: bool = True
 
     @property
     def robust(self) -> bool:
         """True if its loop is stable over all that the axis may be, as far as that is known."""
-        return self.margin is None or self.margin.robust
+        return self.calm and (self.margin is None or self.margin.robust)
 
     @property
     def error(self) -> float:
@@ -479,6 +493,8 @@ def tune_controller(
         shortfall, _ = judge(untold_controller(data, name, settings))
         if shortfall:
             return _UNSTABLE * (1.0 + shortfall)
+        if data.knowledge.known_to and not comes_to_rest(data, name, settings):
+            return _UNSTABLE
         tried += 1
         return cases_cost(data, untold_controller(data, name, settings), cases)
 
@@ -664,12 +680,43 @@ def judged_controller(
     """
     cases = axis_cases(data, held_out=True, seed=seed)
     figures = _figures_of(data, name, settings, cases, plant)
-    margin = None
+    margin, calm = None, True
     if data.knowledge.known_to:
         margin = AxisModels(data).margin(untold_controller(data, name, settings))
+        calm = comes_to_rest(data, name, settings)
     return TunedController(
-        name, dict(settings), inf, 0, figures, tuning_cost(data, figures), margin
+        name, dict(settings), inf, 0, figures, tuning_cost(data, figures), margin, calm
     )
+
+
+def comes_to_rest(data: AxisData, name: str, settings: Mapping[str, float]) -> bool:
+    """Return True if a loop comes to rest after jumps of the set point, at all known gains.
+
+    Parameters
+    ----------
+    data : AxisData
+        The axis, identified.
+    name : str
+        Of `AXIS_CONTROLLERS`.
+    settings : mapping of str to float
+        Of `SETTINGS`.
+    """
+    travel = data.limits.travel_high - data.limits.travel_low
+    jump = max(min(_JUMP, _JUMP_SHARE * travel), _JUMP_COUNTS * data.known_plant().count)
+    for gain in (GAINS[0], 1.0, KNOWN_GAIN_MAX):
+        plant = simulated_axis(data, gain_factor=gain)
+        controller = untold_controller(data, name, settings)
+        controller.reset(plant.measure())
+        start, size = plant.position, round(_JUMP_TIME / plant.period)
+        for share in _JUMPS:
+            duties = []
+            for _ in range(size):
+                duty = controller.step(start + share * jump, plant.measure(), 0.0, 0.0)
+                plant.drive(duty)
+                duties.append(duty)
+            if controller.watch.fault or float(np.std(duties[size // 2 :])) > _CHATTER:
+                return False
+    return True
 
 
 def _figures_of(

@@ -4,10 +4,15 @@
 
 import pytest
 
+from fuzzycnc_ros.core.identify.robustness import AxisModels
+from fuzzycnc_ros.core.machine.axis_models import BallscrewAxisConfig
+from fuzzycnc_ros.core.machine.knowledge import AxisKnowledge
+from fuzzycnc_ros.core.machine.machine_data import AxisData
 from fuzzycnc_ros.machine_file.reader import read_machine_file
 from fuzzycnc_ros.simulation.servo.axis_tuning import (
     axis_cases,
     cases_cost,
+    comes_to_rest,
     judged_controller,
     nominal_judge,
     untold_controller,
@@ -65,3 +70,23 @@ def test_a_loop_that_saves_itself_by_less_gain_is_none_to_choose(data):
     judge = nominal_judge(data)
     assert judge(swings)[0] > 0.0 == judge(holds)[0]
     assert judge(untold_controller(data, 'pid', data.settings))[1] < judge(holds)[1]
+
+
+def test_a_loop_that_a_jump_keeps_swinging_is_none_to_choose():
+    """As identified of a light vertical axis: stable where it is linear, at every gain.
+
+    At half the gain a jump of 1 mm leaves its duty swinging from end to end.
+    """
+    plant = BallscrewAxisConfig(
+        mass=1.0, viscous_forward=9.0, viscous_backward=9.0, coulomb_forward=0.36,
+        coulomb_backward=0.36, offset=1.36, force_constant=1.59, count=1.1e-7, delay=1e-3,
+        mode=71.7, mode_damping=0.2, mode_ratio=0.05,
+    )  # fmt: skip
+    known = AxisKnowledge(known_to=144.0, mode_low=67.0, mode_high=83.0, damping_low=0.12)
+    data = AxisData(plant=plant, knowledge=known)
+    swings = {'bandwidth': 1.32, 'damping': 0.5, 'estimator': 2.39}
+    margin = AxisModels(data).margin(untold_controller(data, 'variable_universe', swings))
+    assert margin.robust
+    assert not comes_to_rest(data, 'variable_universe', swings)
+    calm = {'bandwidth': 0.6, 'damping': 0.8, 'estimator': 1.2}
+    assert comes_to_rest(data, 'cascade', calm)
