@@ -264,7 +264,7 @@ def _tree(root: Any, node: Any, at: tuple[Any, ...], refusals: list[tuple[int, s
             text = f'expected a printable name but found {name!r}'
         elif name in lines:
             first = lines[name]
-            text = f'{name!r} stands here again after line {first}; name everything once'
+            text = f'{name!r} is repeated here after line {first}; give each name once'
         if text and not refusals:
             refusals.append((line, f'{_label(root, at)}{text}'))
         lines[name] = line

@@ -452,8 +452,8 @@ def _read_rows(
     if len(rows[0]) < 2:
         signs = [sign for sign in '|: ' if sign in rows[0][0]]
         raise CsvError(
-            f'{path}, line {numbers[0]}: expected columns but found one, {rows[0][0]!r:.60}; name '
-            f'what stands between them with --delimiter{f" {signs[0]!r}" if signs else ""}'
+            f'{path}, line {numbers[0]}: expected columns but found one, {rows[0][0]!r:.60}; '
+            f'name the separator with --delimiter{f" {signs[0]!r}" if signs else ""}'
         )
     if named:
         header = [' '.join(cell.split()) for cell in rows[0]]  # lines may be broken in a name

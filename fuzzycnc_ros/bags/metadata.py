@@ -358,7 +358,7 @@ def _load(text: str) -> Any:
     for event in yaml.parse(text, Loader=loader):
         if isinstance(event, yaml.AliasEvent):
             if event.anchor not in sizes:  # of what it is a part of itself
-                raise yaml.YAMLError(f'expected no *{event.anchor} in what it stands for')
+                raise yaml.YAMLError(f'expected no *{event.anchor} in its own definition')
             total += sizes[event.anchor]
         elif isinstance(event, yaml.CollectionStartEvent):
             opened.append((event.anchor, total))

@@ -210,7 +210,7 @@ def thermal_run(
         if not np.isfinite(moved.values).any():
             raise RunError(
                 f'{source}: expected displacements but found {len(moved.stamp)} messages of '
-                f'{other} whose values all are missing; record or import the run anew'
+                f'{other} whose values are all missing; record or import the run anew'
             )
         raise RunError(
             f'{source}: expected displacements during the temperatures but found none: '

@@ -171,7 +171,7 @@ class Shipper:
         there = self._system.exists(target)
         if there and path.name not in self._attempted and self._arrived(target) != (digest, size):
             raise FileExistsError(
-                f'{target} is there with another content; move it, or rename the bag next time'
+                f'{target} exists with other content; move it, or rename the bag next time'
             )
         if not there or path.name in self._attempted:
             self._attempted.add(path.name)

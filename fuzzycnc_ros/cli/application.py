@@ -343,7 +343,8 @@ def _add(to: typer.Typer, commands: Mapping[str, Callable[..., Any] | CommandGro
 def _common(
     version: Annotated[bool, typer.Option('--version', help='Print the version and end.')] = False,
     debug: Annotated[
-        bool, typer.Option('--debug', help='Show the traceback of an error; may stand anywhere.')
+        bool,
+        typer.Option('--debug', help='Show the traceback of an error; works anywhere.'),
     ] = False,
 ) -> None:
     """Take the options that stand before the subcommand."""

@@ -122,7 +122,7 @@ class BackgroundOutput(io.TextIOBase):
                 return self._queue.popleft()
             if not self._dropped:
                 return ''
-            note = f'\n[nobody read: {self._dropped} lines left out here]\n'
+            note = f'\n[output was not read: {self._dropped} lines omitted here]\n'
             self._dropped, self._pending = 0, len(note)
             return note
 

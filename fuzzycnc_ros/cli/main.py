@@ -75,7 +75,7 @@ COMMANDS: Commands = {
     'evaluate': LazyCommand(
         'Calibrate',
         'fuzzycnc_ros.cli.models.evaluate:evaluate',
-        "Compare a model's predictions with what was measured, beside plain baselines.",
+        "Compare a model's predictions with measurements and simple baselines.",
     ),
     'compare': LazyCommand(
         'Calibrate',
@@ -140,7 +140,7 @@ COMMANDS: Commands = {
     'info': LazyCommand(
         'Run',
         'fuzzycnc_ros.cli.bags.info:info',
-        'Show what is in a bag: topics, counts, types, times, attachments, and what is wrong.',
+        'Show the contents of a bag: topics, counts, types, times, attachments and problems.',
     ),
     'report': LazyCommand(
         'Run',
@@ -165,7 +165,7 @@ COMMANDS: Commands = {
     'machine': LazyCommand(
         'Axes',
         'fuzzycnc_ros.cli.axes.machine',
-        'Write down what is known of your machine, in one file for all commands.',
+        'Describe your machine in one file for all commands.',
     ),
     'position': LazyCommand(
         'Axes',
@@ -195,7 +195,7 @@ COMMANDS: Commands = {
     'security': LazyCommand(
         'For developers',
         'fuzzycnc_ros.cli.live.security',
-        'Write access rights: each node may do what it needs, and others nothing.',
+        'Write access rights: each node may do only what it needs.',
     ),
 }
 """The subcommands in the order of the help, by jobs; nothing is imported for the help."""

@@ -44,6 +44,6 @@ def papers(
     show(table)
     say('')
     say(chosen.text)
-    say(f'docs/explanation/methods/{chosen.page} has the method, and what is unclear in print')
+    say(f'docs/explanation/methods/{chosen.page} describes it and what the paper leaves unclear')
     columns = [column.full_heading for column in table.columns]
     write_json(json_file, {'paper': chosen.key, 'columns': columns, 'rows': table.rows})

@@ -391,7 +391,7 @@ class Actions:
             await self.thread.do(lambda: publisher.publish(encode(record, RCLPY)))
             await self._until(
                 lambda: bool(publisher.wait_for_all_acked(Duration())),
-                f'{machine}: not all nodes that take probes have confirmed this one; look whether '
+                f'{machine}: not all nodes that use probes have confirmed this one; look whether '
                 'one hangs, and in the recording whether it is there',
             )
         finally:
@@ -445,8 +445,7 @@ class Actions:
         process, bag = self._recorders.get(machine, (None, Path()))
         if process is None or process.poll() is not None:
             raise GraphError(
-                f'{machine}: nothing is recorded from here; what was started elsewhere is ended '
-                'there'
+                f'{machine}: no recording was started here; end others where they were started'
             )
         process.terminate()
         await self._until(

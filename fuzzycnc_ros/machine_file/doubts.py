@@ -58,7 +58,7 @@ def _axis_doubts(name: str, axis: AxisData) -> Iterator[str]:
         if acceleration > rise:
             yield (
                 f'{place}.limits.positioning_acceleration: {acceleration:g} m/s² is more than '
-                f'the drive gives the mass, {rise:.3g} m/s²'
+                f'the drive can give the mass, {rise:.3g} m/s²'
             )
     else:
         full, friction = plant.gain, plant.breakaway

@@ -79,7 +79,7 @@ def machine_schema() -> dict[str, Any]:
     return {
         '$schema': 'https://json-schema.org/draft/2020-12/schema',
         'title': 'Machine file of fuzzycnc',
-        **_mapping('What is known of a machine; what is left out is a default', top),
+        **_mapping('Description of a machine; omitted entries have defaults', top),
     }
 
 

@@ -14,9 +14,9 @@ from fuzzycnc_ros.core.units import written
 from fuzzycnc_ros.machine_file.reader import FAULTS
 
 _HEADER = """\
-# A machine file: what is known of a machine.  `fuzzycnc machine check` reads it, and
+# A machine file: the description of a machine.  `fuzzycnc machine check` reads it, and
 # `fuzzycnc machine show` prints it with where each value comes from.  Plain numbers are in SI
-# units; what is left out is the default.
+# units; omitted entries have defaults.
 """
 
 _COMMENT_COLUMN = 44

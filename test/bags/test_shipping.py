@@ -179,7 +179,7 @@ def test_what_is_there_already_is_not_overwritten(tmp_path, failing, hasty):
     system, root = fsspec.url_to_fs('failing://shop/bag/bag_0.mcap')
     system.pipe_file(root, b'of last year')
     thread = record(tmp_path / 'bag', 'failing://shop')
-    until(lambda: 'is there with another content' in thread.progress().waiting)
+    until(lambda: 'exists with other content' in thread.progress().waiting)
     thread.close()
     assert system.cat_file(root) == b'of last year'
     assert not (tmp_path / 'bag' / LEDGER).exists()

@@ -68,11 +68,11 @@ def test_whoever_writes_does_not_wait_and_is_told_what_was_lost(pipe):
     for number in range(LINES):
         print(f'line {number}', file=output)
     assert output.behind
-    found = read_until(reading, 'left out here]\n')
+    found = read_until(reading, 'lines omitted here]\n')
     kept, note = found.strip('.').split('\n\n')
     kept = kept.splitlines()
     assert kept == [f'line {number}' for number in range(len(kept))]
-    assert note == f'[nobody read: {LINES - len(kept)} lines left out here]\n'
+    assert note == f'[output was not read: {LINES - len(kept)} lines omitted here]\n'
     wait_for(lambda: not output.behind, 'all is taken')
     print('again', file=output)
     assert read_until(reading, 'again\n') == 'again\n'

@@ -198,7 +198,7 @@ def test_a_drive_has_to_reach_what_it_is_asked_for(machine):
     assert not machine_doubts(machine(text))
     fast = machine(text.replace('positioning_acceleration: 1.5 ', 'positioning_acceleration: 4 '))
     (doubt,) = machine_doubts(fast)
-    assert 'more than the drive gives the mass, 3.7 m/s²' in doubt
+    assert 'more than the drive can give the mass, 3.7 m/s²' in doubt
     (doubt,) = machine_doubts(machine(text.replace('friction: 0.12', 'friction: 0.01')))
     assert 'less than the friction of the plant, 5.8 %' in doubt
 

@@ -240,13 +240,13 @@ def model_fields(view: dict[str, Any]) -> dict[str, str]:
     model = view['model']
     if model is None:
         return {}
-    inside = '✓ inside what it was trained on'
+    inside = '✓ inside its training range'
     return {
         'name': model['name'] or '\u2013',
         'file': model['file'] or '\u2013',
         'hash': model['hash'] or '\u2013',
         'prediction': '✓ valid' if model['valid'] else f'✕ not valid: {model["why"]}',
-        'domain': inside if model['in_domain'] else '▲ outside what it was trained on',
+        'domain': inside if model['in_domain'] else '▲ outside its training range',
         'distance from training': number(model['distance'], 2),
         'trained on': ', '.join(model['runs']) or '\u2013',
         'error on held-out runs (rms)': ', '.join(

@@ -64,8 +64,8 @@ def identify(
     force: Annotated[
         OptionalNumber,
         given(
-            'Force at full duty, in N unless it has a unit; without it the mass cannot be told, '
-            'and is called 1 kg.',
+            'Force at full duty, in N unless it has a unit; without it the mass is unknown '
+            'and taken as 1 kg.',
             metavar='FORCE',
             read=number_in(FORCES, 'a force'),
         ),
@@ -280,7 +280,7 @@ def _loops(
     )
 
 
-HELP = """Write down what is known of your machine, in one file for all commands.
+HELP = """Describe your machine in one file for all commands.
 
     fuzzycnc machine new mill.yaml --linuxcnc-ini mill.ini
     fuzzycnc machine show mill.yaml

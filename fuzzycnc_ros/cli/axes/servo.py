@@ -503,7 +503,7 @@ def export(
     to: Annotated[
         str,
         choice(
-            "One C99 file, a component of LinuxCNC's HAL, or one that stands for the axis itself.",
+            "One C99 file, a component of LinuxCNC's HAL, or one that simulates the axis itself.",
             EXPORTS,
         ),
     ] = 'c',

@@ -44,7 +44,7 @@ def info(
     ] = False,
     json_file: JsonFile = None,
 ) -> None:
-    """Show what is in a bag: topics, counts, types, times, attachments, and what is wrong.
+    """Show the contents of a bag: topics, counts, types, times, attachments and problems.
 
     Every message is counted, not only the index that the bag keeps of itself. A bag whose
     recorder was killed is refused by everything else; --repair writes what can be read of it to

@@ -49,8 +49,8 @@ class HeldKey:
     def __init__(self) -> None:
         if not sys.stdin.isatty():
             raise GraphError(
-                'standard input: expected a terminal, whose space bar somebody holds while the '
-                'axis moves, but found none'
+                'standard input: expected a terminal, whose space bar is held while the axis '
+                'moves, but found none'
             )
         self._file = sys.stdin.fileno()
         self._before: list[Any] = []

@@ -203,7 +203,7 @@ def reference(
     by: Person = 'operator',
     force: Annotated[
         bool,
-        typer.Option('--force', help='Also while offsets are in force, which then change.'),
+        typer.Option('--force', help='Even while offsets are in force, which then change.'),
     ] = False,
     machine: MachineName = 'mill',
 ) -> None:
@@ -283,11 +283,11 @@ def forget(
         str, typer.Option(help='The reason, kept in the recording, such as "new spindle".')
     ],
     undo: Annotated[
-        bool, typer.Option('--undo', help='Go back to what was known before the last probe.')
+        bool, typer.Option('--undo', help='Restore the state before the last probe.')
     ] = False,
     everything: Annotated[
         bool,
-        typer.Option('--all', help='Begin from nothing, as on the first day.'),
+        typer.Option('--all', help='Start learning from scratch.'),
     ] = False,
     by: Person = 'operator',
     machine: MachineName = 'mill',
@@ -316,7 +316,8 @@ def forget(
 
 def mark(
     phase: Annotated[
-        str, typer.Argument(metavar='PHASE', help='What begins now, such as "spindle 6000".')
+        str,
+        typer.Argument(metavar='PHASE', help='The phase that begins, such as "spindle 6000".'),
     ],
     by: Person = 'operator',
     machine: MachineName = 'mill',

@@ -24,7 +24,8 @@ CONTROLS = ('linuxcnc', 'fanuc', 'siemens')
 
 def write(
     file: Annotated[
-        Path, typer.Argument(metavar='FILE', help='What is probed, and in which box; a YAML file.')
+        Path,
+        typer.Argument(metavar='FILE', help='Probing targets and their box, in YAML.'),
     ],
     out: Annotated[Path, typer.Option(help='Folder for the program; made if it is missing.')],
     control: Annotated[

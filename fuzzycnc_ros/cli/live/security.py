@@ -17,7 +17,7 @@ from fuzzycnc_ros.cli.console import say, words, write_text
 if TYPE_CHECKING:
     from fuzzycnc_ros.graph.access import Access
 
-HELP = """Write access rights: each node may do what it needs, and others nothing.
+HELP = """Write access rights: each node may do only what it needs.
 
     fuzzycnc security write policies --machine mill
 
@@ -61,8 +61,8 @@ def write(
         list[str],
         typer.Option(
             metavar='NODE=/TOPIC',
-            help='A topic from outside of the machine that a node reads too; may stand several '
-            'times.',
+            help='A topic from outside of the machine that a node reads too; may be given '
+            'several times.',
         ),
     ] = [],  # noqa: B006 - typer reads it, nobody changes it
     keystore: Annotated[

@@ -50,7 +50,8 @@ System = Annotated[
     ),
 ]
 Now = Annotated[
-    bool, typer.Option('--now', help='Do at once by systemctl what is printed otherwise.')
+    bool,
+    typer.Option('--now', help='Run the systemctl commands instead of printing them.'),
 ]
 
 
@@ -70,8 +71,9 @@ def install(
         typer.Option(
             metavar='USER',
             show_default=False,
-            help='With --system, whose rights it has; who installs it without this. Shared memory '
-            'of DDS is for processes of one user: commands such as `operate` run as that one.',
+            help='With --system: the user it runs as, by default the one who installs it. Shared '
+            'memory of DDS is for processes of one user: commands such as `operate` run as that '
+            'one.',
         ),
     ] = '',
     record: Annotated[
@@ -113,7 +115,7 @@ def install(
     if own:
         raise GraphError(
             f'UP OPTIONS: expected none of {", ".join(OWN)}, which a service sets itself, but '
-            f'found {own[0]}; --machine, --record and --page stand before the two dashes'
+            f'found {own[0]}; --machine, --record and --page go before the two dashes'
         )
     _parse('up', words)
     recorded = shlex.split(record_options)
@@ -145,9 +147,9 @@ def install(
     names = [unit.name for unit in units]
     _systemctl(system, [['daemon-reload'], ['enable', '--now', *names]], now)
     scope = '' if system else '--user '
-    say(f'what it says: journalctl {scope}-u {names[0]}')
+    say(f'its log: journalctl {scope}-u {names[0]}')
     if not system:
-        say('it ends when you log out, unless you type once: loginctl enable-linger')
+        say('it ends at logout, unless you type once: loginctl enable-linger')
 
 
 def show(machine: MachineName = 'mill', system: System = False) -> None:

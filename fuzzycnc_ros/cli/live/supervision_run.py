@@ -244,13 +244,13 @@ def _lacking(supervisor: Supervisor) -> list[str]:
             bags = ', '.join(f'{bag}' for bag in _bags(process))
             found.append(
                 f'{process.title} did not close its bag within {RECORDER_STOP:g} s and was '
-                'killed, the disk was too slow: the recording lacks what came last; make it whole '
+                'killed, the disk was too slow: the recording lacks its end; complete it '
                 f'with `fuzzycnc info {bags} --repair`'
             )
         elif code and process.state is ProcessState.RUNNING:  # it was asked to end, and failed
             reasons.append(f'ended with code {code}: {process.graph.last_words(process.name)}')
         if reasons:
-            found.append(f'{process.title} {reasons[0]}: the recording lacks what came then')
+            found.append(f'{process.title} {reasons[0]}: the recording has a gap there')
         found += _losses(process)
     return found
 

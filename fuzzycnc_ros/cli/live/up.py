@@ -97,7 +97,7 @@ def up(
     params: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option(
-            help='Folder with parameter files <node>.yaml; what no node reads of it is named.'
+            help='Folder with parameter files <node>.yaml; entries that no node reads are named.'
         ),
     ] = None,
     machine_file: Annotated[

@@ -167,7 +167,7 @@ def _model(view: Mapping[str, Any]) -> list[Text]:
     model = view['model']
     if model is None:
         return []
-    place = 'in domain' if model['in_domain'] else 'OUTSIDE of what it was trained on'
+    place = 'in domain' if model['in_domain'] else 'OUTSIDE its training range'
     held = ', '.join(f'{name} {_micro(left, ".1f")}' for name, left in model['held_out'].items())
     text = f'model {model["name"] or "none"}: {place if model["valid"] else model["why"]}'
     return [Text(text + (f'; left on unseen runs {held} µm' if held else ''))]

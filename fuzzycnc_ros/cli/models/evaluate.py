@@ -86,7 +86,7 @@ def evaluate(
     ] = False,
     carry: Annotated[
         bool,
-        typer.Option('--carry', help='With --from-nothing: keep what was learnt from bag to bag.'),
+        typer.Option('--carry', help='With --from-nothing: carry what is learnt from bag to bag.'),
     ] = False,
     probe_noise: Annotated[
         str,
@@ -96,7 +96,7 @@ def evaluate(
     report: Report = None,
     json_file: JsonFile = None,
 ) -> None:
-    """Compare a model's predictions with what was measured, beside plain baselines.
+    """Compare a model's predictions with measurements and simple baselines.
 
     All candidates of the model run from the bag's first sample, as they would on the machine;
     the residual of the measured displacement is judged between --start and --end. They do not

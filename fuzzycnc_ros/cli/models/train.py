@@ -59,8 +59,8 @@ def train(
         str,
         typer.Option(
             metavar='NAME',
-            help=f'Model to use on every channel: {", ".join(CANDIDATES)}; auto takes the best '
-            'on what was held out.',
+            help=f'Model to use on every channel: {", ".join(CANDIDATES)}; auto takes the '
+            'best on held-out samples.',
             autocompletion=one_of(('auto', *CANDIDATES)),
         ),
     ] = 'auto',
@@ -180,7 +180,7 @@ def train(
     say(f'spindle speed: {speed_text(trained)}')
     if trained.drives_max:
         drives = ', '.join(trained.drives_max)
-        say(f'told by the control: {drives} used; they have to come with machine_state')
+        say(f'reported by the control: {drives} used; they have to come with machine_state')
     say(f'{out}: written, hash {trained.hash[:16]}')
     write_json(
         json_file,

@@ -264,8 +264,8 @@ def _notes(given: 'Program', path: 'ProgramPath') -> list[str]:
     notes = [f'note: {note}' for note in given.notes[:8]]
     if path.program.unknown:
         notes.append(
-            f'left out: {path.program.unknown:,} motions whose end or feed the program '
-            'does not tell'
+            f'left out: {path.program.unknown:,} motions whose end or feed the program does '
+            'not state'
         )
     return notes
 

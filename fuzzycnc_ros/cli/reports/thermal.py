@@ -100,7 +100,7 @@ def thermal(
         OptionalText, given('Sensor that reads the temperature of the air.', metavar='SENSOR')
     ] = None,
     history: Annotated[
-        OptionalText, given('What was done before the test.', metavar='TEXT')
+        OptionalText, given('History of the machine before the test.', metavar='TEXT')
     ] = None,
     operator: Annotated[OptionalText, given('Who did the test.', metavar='TEXT')] = None,
     machine: Annotated[

@@ -67,7 +67,7 @@ class ThermalTestFile(Fields):
     machine: Words = Field('', description='Make, type, number')
     operator: Words = Field('', description='Who did the test')
     date: Words = Field('', description='When it was done, if the bag does not say')
-    history: Words = Field('', description='What was done before, such as 12 h switched off')
+    history: Words = Field('', description='History before the test, such as 12 h switched off')
     ambient: Words = Field('', description='Sensor that reads the temperature of the air')
     instrument: _InstrumentFields | None = Field(None, description='What measured')
     probes: dict[str, _ProbeFields] = Field(

@@ -177,7 +177,7 @@ def _show(found: 'RestCheck', recorded: 'Recorded') -> None:
         f'{found.stop / HOUR:.2f} h, the quietest time of the recording.'
     )
     if found.quiet == found.quiet:
-        say(f'The spindle is known to have stood for {found.quiet / HOUR:.1f} h by then.')
+        say(f'The spindle is known to have been at rest for {found.quiet / HOUR:.1f} h by then.')
     else:
         say('Nothing is known of the spindle: that the machine was off for a night is your word.')
 

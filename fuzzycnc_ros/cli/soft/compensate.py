@@ -114,8 +114,8 @@ def compensate(
     size: Annotated[
         OptionalText,
         given(
-            'Clamped area from the origin, such as 150x100mm; the tool is kept on it. Of a design '
-            'it lies around the middle.',
+            'Clamped area from the origin, such as 150x100mm; the tool is kept on it. A '
+            'design is centred on it.',
             metavar='WIDTHxHEIGHT',
         ),
     ] = None,

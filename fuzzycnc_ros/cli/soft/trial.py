@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 Force = Annotated[bool, typer.Option('--force', help='Overwrite the files.')]
 Size = Annotated[
     str,
-    typer.Option(metavar='WIDTHxHEIGHT', help='The clamped sheet; the design lies amid it.'),
+    typer.Option(metavar='WIDTHxHEIGHT', help='The clamped sheet; the design is centred on it.'),
 ]
 Marks = Annotated[
     Path,
@@ -108,7 +108,7 @@ def simulate(
     marks: Marks,
     pattern: Annotated[
         OptionalPath,
-        given('The design before it was compensated: it lies amid the sheet.', metavar='DESIGN'),
+        given('The design before compensation, centred on the sheet.', metavar='DESIGN'),
     ] = None,
     thickness: Thickness = '15mm',
     depth: Depth = '6mm',
@@ -164,7 +164,7 @@ def measure(
     ],
     stitched: Annotated[
         OptionalPath,
-        given('What was stitched, if the design was compensated.', metavar='DESIGN'),
+        given('The design as stitched, if it was compensated.', metavar='DESIGN'),
     ] = None,
     size: Size = '200x120mm',
     samples: Annotated[

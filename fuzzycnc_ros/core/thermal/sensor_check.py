@@ -233,8 +233,8 @@ def _quietest(
             best = (drift, inside, slope, error)
     if best is None and turned:
         raise NotAtRestError(
-            f'expected {REST_WINDOW / 60.0:g} min in which the spindle stands, as it has for '
-            f'{SPINDLE_STOOD / HOUR:g} h, but found none; leave the machine over night'
+            f'expected {REST_WINDOW / 60.0:g} min with the spindle at rest, as it has been for '
+            f'{SPINDLE_STOOD / HOUR:g} h, but found none; leave the machine off overnight'
         )
     if best is None:
         raise NotAtRestError(

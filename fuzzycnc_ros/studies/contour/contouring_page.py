@@ -70,8 +70,8 @@ def contouring_page(
         'Time and contour error',
         texts=(
             'The contour error is the distance from the tool to the nearest point of the path, '
-            'taken from the first sample on it to the end of the run-out; the mean leaves '
-            'the run-out away.',
+            'taken from the first sample on it to the end of the run-out; the mean excludes '
+            'the run-out.',
         ),
         tables=(contouring_table(paths),),
     )

@@ -157,7 +157,7 @@ class Cache:
         except sqlite3.DatabaseError as error:
             raise ValueError(
                 f'{self._path}: expected figures of earlier runs but found something else '
-                f'({error}); remove it, and they are computed anew'
+                f'({error}); remove it, and they are recomputed'
             ) from None
 
 

@@ -71,7 +71,7 @@ class FleetSummary:
         """Return whose band holds far less than it promises, in words; see `is_false_band`."""
         return [
             f'{machine}, model {model}: the band holds {100.0 * inside / number:.0f} % of '
-            f'{channel} over all bags; it promises 95 %'
+            f'{channel} over all bags; it should cover 95 %'
             for (machine, model, channel), (number, inside, square) in self.bands.items()
             if number and is_false_band(inside / number, sqrt(square / number), number)
         ]

@@ -219,6 +219,6 @@ def only(executor: Executor) -> Callable[[], Executor]:
 
 def _lost() -> LostWorkersError:
     return LostWorkersError(
-        'expected the workers to stay but they, or their scheduler, are gone; what they have done '
-        'is kept, so give the command again'
+        'expected the workers to stay but they, or their scheduler, are gone; finished '
+        'results are kept: repeat the command'
     )

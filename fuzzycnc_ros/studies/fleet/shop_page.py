@@ -51,7 +51,7 @@ def shop_page(condition: ShopCondition, table: str) -> Page:
                 'Which machine drifts',
                 tables=[drifts],
                 remarks=[
-                    'The trend is that of what the model leaves, bag by bag: the slope of Theil '
+                    'The trend is that of the residual, bag by bag: the slope of Theil '
                     f'and Sen, with an interval that holds at {_SURE} for all rows together. A '
                     'machine drifts where all of the interval is above zero. Bags that the model '
                     'was trained on do not count.',
@@ -60,7 +60,7 @@ def shop_page(condition: ShopCondition, table: str) -> Page:
                 figures=_figures(
                     'What the model leaves, over time',
                     'A dot per bag. The line is the trend, red where it rises beyond chance; '
-                    'dashed is what training had promised.',
+                    'dashed is the residual expected from training.',
                     [item for item in condition.drifts if len(item.rms)],
                     lambda item: _residual_panel(item, condition),
                     condition,
@@ -70,17 +70,17 @@ def shop_page(condition: ShopCondition, table: str) -> Page:
                 'Which model is stale',
                 tables=[stale],
                 remarks=[
-                    'The newest bags are the newest quarter. A model is stale where they leave '
-                    f'more than {STALE_RATIO:g} times what it left on held-out samples of its '
-                    f'training, beyond chance; where less than {100 * DOMAIN_MIN:.0f} % of their '
+                    'The newest bags are the newest quarter. A model is stale where their '
+                    f'residual exceeds {STALE_RATIO:g} times that on held-out training '
+                    f'samples, beyond chance; where less than {100 * DOMAIN_MIN:.0f} % of their '
                     'samples are in its domain and the share falls; or where it diverged. Then '
                     'train it anew on newer bags.',
                     *_cut(len(condition.stale)),
                 ],
                 figures=_figures(
                     'Share of the samples in the domain of the training, over time',
-                    'A dot per bag. Where dots sink, the machine does what the model has not '
-                    'seen.',
+                    'A dot per bag. Where dots sink, the machine works outside the range of '
+                    'the training.',
                     _one_per_model(condition.stale),
                     lambda item: _domain_panel(item, condition),
                     condition,
@@ -232,7 +232,7 @@ def _drift_table(courses: Sequence[ResidualHistory]) -> Table:
 def _stale_table(courses: Sequence[ResidualHistory]) -> Table:
     in_domain, month = 'in domain', f'per {MONTH:.0f} days [%]'
     return case_table(
-        'What training had promised, and what the newest bags show',
+        'Residuals expected from training, and those of the newest bags',
         zip(courses),
         {
             Column('Machine', numeric=False): lambda item: item.machine,

@@ -336,9 +336,10 @@ def grinder_page(comparison: GrinderComparison) -> Page:
     """Return the page of the comparison, a section per trial."""
     tables = comparison.tables()
     return Page(
-        title='Thermal models, compared on a simulated grinder',
+        title='Thermal models compared on a simulated grinder',
         summary='Every model is trained on some runs and judged on others. The grinder is a '
-        'simulation: what is fair between the models need not hold for a machine.',
+        'simulation: the comparison is fair between the models, but need not hold for a real '
+        'machine.',
         sections=[
             Section(
                 heading=f'Grinder, {result.title}',

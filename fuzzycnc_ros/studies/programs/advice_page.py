@@ -102,14 +102,14 @@ class AdviceFigures:
         where = 'on LinuxCNC' if best.measured else 'on the simulated controller'
         if not self.kept and error <= MICRO * self.tolerance:
             return Remark(
-                f'nothing that was tried is sure to keep {MICRO * self.tolerance:g} µm: '
+                f'no remedy tried is sure to keep {MICRO * self.tolerance:g} µm: '
                 f'{self.remark}; the least error {where} leaves {best.name}: {error:.1f} µm in '
                 f'{time:.2f} s; --linuxcnc runs it',
                 warning=True,
             )
         if not self.kept:
             return Remark(
-                f'nothing that was tried keeps {MICRO * self.tolerance:g} µm; the least error '
+                f'no remedy tried keeps {MICRO * self.tolerance:g} µm; the least error '
                 f'{where} leaves {best.name}: {error:.1f} µm in {time:.2f} s',
                 warning=True,
             )

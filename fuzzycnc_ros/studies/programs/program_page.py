@@ -114,8 +114,8 @@ class ScheduleFigures:
         place = 'corners' if self.driven.corner_error >= self.driven.error else 'bends'
         return (
             f'tolerance not kept: {1e3 * self.driven.error:.4f} mm at {place}, line '
-            f'{self.driven.line:,}, of {self.stretch} on the simulated controller; feeds alone do '
-            'not do it here, see fuzzycnc advise'
+            f'{self.driven.line:,}, of {self.stretch} on the simulated controller; feeds '
+            'alone are not enough here, see fuzzycnc advise'
         )
 
     @property
@@ -146,8 +146,8 @@ class ScheduleFigures:
             stopped = settings.blend == 0.0 and not any(self.corners)
             where = 'corners within a run' if stopped else 'what cannot be blended'
             lines.append(
-                f'exact stops: {times.stops:,}, at the ends of runs and at {where}; what they '
-                'leave as error depends on acceleration and rest, not on the feed'
+                f'exact stops: {times.stops:,}, at the ends of runs and at {where}; their '
+                'error depends on acceleration and rest, not on the feed'
             )
         lines.append(f'limits: {_limits(settings.limits)}')
         blend = max(self.corners, default=settings.blend)
@@ -419,7 +419,7 @@ def _methods_section(
 def _notes_section(notes: Sequence[Note]) -> Section:
     return Section(
         'Passed through untouched',
-        texts=['These lines came out as they went in; what follows from them for the times:'],
+        texts=['These lines were not changed; their effect on the times:'],
         remarks=[str(note) for note in notes],
     )
 

@@ -103,8 +103,8 @@ def axis_tuning_remarks(found: AxisTuning) -> list[Remark]:
         told = 'recommended on your axis: none, as none is stable over all that it may be'
     elif winner is not best:
         told += (
-            f'; {LABELS[best.name]} is no better by more than 5 %, and of equals the simpler one '
-            'is taken'
+            f'; {LABELS[best.name]} is no better by more than 5 %, and among equals the '
+            'simpler one is chosen'
         )
     elif nearest.robust:
         apart = 'beyond chance' if ratio > spread**2 else 'not beyond chance'
@@ -120,7 +120,7 @@ def axis_tuning_remarks(found: AxisTuning) -> list[Remark]:
         lines.append(
             Remark(
                 f'{LABELS[winner.name]} gave up {winner.faults} of {len(found.held_out)} cases: '
-                'its limits or loads ask for more than the drive gives',
+                'its limits or loads exceed the drive',
                 warning=True,
             )
         )
@@ -138,10 +138,10 @@ def _fuzzy(found: AxisTuning) -> Remark:
     share = 100.0 * (max(ratio, 1.0 / ratio) - 1.0)
     if ratio > 1.0:
         return Remark(
-            f'the rules leave less than their tangent, which has {share:.0f} % larger errors'
+            f'the rules are better than their tangent, whose errors are {share:.0f} % larger'
         )
     return Remark(
-        f'the linear tangent leaves less than the rules, which have {share:.0f} % larger errors'
+        f'the linear tangent is better than the rules, whose errors are {share:.0f} % larger'
     )
 
 

@@ -139,8 +139,9 @@ def axis_fit_remarks(found: IdentifiedAxis, force: float | None) -> list[Remark]
     if linear is not None and not _told(found):
         lines.append(
             Remark(
-                f'dead time: up to {1e3 * linear.delay.high:.2g} ms is reckoned with; the chirp '
-                'of duties that `fuzzycnc machine excite --duty` writes would show it',
+                f'dead time: anything up to {1e3 * linear.delay.high:.2g} ms, which is '
+                'allowed for; the chirp of duties that `fuzzycnc machine excite --duty` writes '
+                'would show it',
                 warning=True,
             )
         )
@@ -153,8 +154,8 @@ def axis_fit_remarks(found: IdentifiedAxis, force: float | None) -> list[Remark]
     if force is None:
         lines.append(
             Remark(
-                'mass: unknown without --force, the force at full duty; it is called 1 kg, '
-                'and forces go with it'
+                'mass: unknown without --force, the force at full duty; it is taken as 1 kg, '
+                'and forces scale with it'
             )
         )
     return lines
@@ -230,8 +231,8 @@ def loop_remarks(loops: Mapping[str, LoopFit]) -> list[Remark]:
         if loop.contour_constant <= 0.0:
             lines.append(
                 Remark(
-                    f'{axis}: it overshoots bends: the contour constant is not above 0, and feeds '
-                    'have nothing to gain from it',
+                    f'{axis}: it overshoots bends: the contour constant is not above 0, and a '
+                    'change of feed would not help',
                     warning=True,
                 )
             )
@@ -243,7 +244,7 @@ def loop_remarks(loops: Mapping[str, LoopFit]) -> list[Remark]:
             lines.append(
                 Remark(
                     f'the axes lag by different times ({said}): circles become ovals, which '
-                    'no feed mends; match the gains',
+                    'no feed corrects; match the gains',
                     warning=True,
                 )
             )

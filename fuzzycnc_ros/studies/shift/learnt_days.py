@@ -191,7 +191,7 @@ def days_table(days: Sequence[LearntDay]) -> Table:
         return lambda day, axis, figures: f'{figures[key]:.1f}'
 
     return case_table(
-        'Thermal error, root mean square [µm], and what is known of it',
+        'Thermal error, root mean square [µm], and the share in the band',
         (
             (f'{number} ({day.name})', *of_axis)
             for number, day in enumerate(days, 1)

@@ -41,7 +41,7 @@ def comparison_page(comparison: 'Comparison', facts: Mapping[str, str]) -> Page:
     known = [item.evaluation.run for item in comparison.held_out if item.evaluation.trained_on]
     copies = f', but for {", ".join(known)}: see there' if known else ''
     return Page(
-        title='Thermal models, compared on what they have not seen',
+        title='Thermal models compared on unseen runs',
         summary=f'Judged on {runs}. Each time, sensors, settings, models and the automatic '
         f'choice came from the other samples alone{copies}. By rms, of those that are trusted on '
         f'every run, {best}. {shown.COMPARED_LINE[0].upper() + shown.COMPARED_LINE[1:]}.',

@@ -97,8 +97,8 @@ def training_remark(
         )
     if not recognised:
         return Remark(
-            f'{run}: whether the model was trained on these samples is unknown; it does not '
-            'say enough of what it was trained on',
+            f'{run}: whether the model was trained on these samples is unknown; its file does '
+            'not identify the training samples',
             True,
         )
     same = ', but on others of a run of that name' if run in training else ''
@@ -156,8 +156,8 @@ def band_remark(
         return Remark(text)
     counts = '/'.join(dict.fromkeys(f'{count:.0f}' for count in false.values()))
     return Remark(
-        f'{text}; it promises 95 %, and chance does not explain so little of {", ".join(false)} '
-        f'(as good as {counts} independent samples): {_ADVICE}',
+        f'{text}; it should cover 95 %, and chance does not explain so little of '
+        f'{", ".join(false)} (as good as {counts} independent samples): {_ADVICE}',
         True,
     )
 
@@ -187,7 +187,7 @@ def narrow_band_remarks(
     ]
     if not narrow:
         return []
-    text = f'{run}: the band of what was learnt holds {", ".join(narrow)}; it promises 95 %'
+    text = f'{run}: the learnt band covers {", ".join(narrow)}; it should cover 95 %'
     return [Remark(f'{text}: probe more often', True)]
 
 
@@ -208,7 +208,7 @@ def overall_band_remarks(judged: 'Sequence[Evaluation]') -> list[Remark]:
     ]
     if not false or len(judged) == 1:
         return []
-    text = f'over {len(judged)} runs the band holds {", ".join(false)}; it promises 95 %'
+    text = f'over {len(judged)} runs the band holds {", ".join(false)}; it should cover 95 %'
     return [Remark(f'{text}: {_ADVICE}', True)]
 
 

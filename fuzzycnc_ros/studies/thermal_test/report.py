@@ -226,7 +226,7 @@ def _ambient_text(test: ThermalTest) -> Fact:
 def facts_table(test: ThermalTest) -> Table:
     """Return the head of a report."""
     columns = tuple(Column(name, numeric=False) for name in ('Item', 'Value', 'Source'))
-    return Table('What is known of the test', columns, tuple(facts(test)))
+    return Table('Test conditions', columns, tuple(facts(test)))
 
 
 def phases_table(test: ThermalTest) -> Table:

@@ -75,7 +75,7 @@ export function buildModel(panel) {
     ['file', ({file}) => file || UNKNOWN],
     ['hash', ({hash}) => hash || UNKNOWN],
     ['prediction', ({valid, why}) => (valid === false ? `✕ not valid: ${why}` : '✓ valid')],
-    ['domain', ({in_domain: inside}) => (inside ? '✓ inside what it was trained on' : '▲ outside what it was trained on')],
+    ['domain', ({in_domain: inside}) => (inside ? '✓ inside its training range' : '▲ outside its training range')],
     ['distance from training', ({distance}) => number(distance, 2)],
     ['trained on', ({runs}) => runs.join(', ') || UNKNOWN],
     ['error on held-out runs (rms)', ({held_out: left}) => Object.entries(left)

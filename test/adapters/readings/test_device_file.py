@@ -141,7 +141,7 @@ def test_opc_ua_fields(read):
         ('T1: 0', 'T1: first', 8, "register: expected a number but found 'first'"),
         ('T1: 0', 'T1: {table: input}', 8, "expected the field 'register'"),
         ('T1: 0', 'T1: [0]', 8, 'expected fields with values'),
-        ('T1: 0', 'T2: 0', 9, "'T2' stands here again after line 8"),
+        ('T1: 0', 'T2: 0', 9, "'T2' is repeated here after line 8"),
         (
             'table: input',
             'table: coil',
@@ -318,7 +318,7 @@ def test_the_schema_takes_what_is_read_and_refuses_what_is_not(root):
             'scale: true',
             "line 5: device rtd: scale: expected a number but found 'tr",
         ),
-        ('scale: 0.1', 'scale: 1\n    scale: 2', "line 6: device rtd: 'scale' stands here again"),
+        ('scale: 0.1', 'scale: 1\n    scale: 2', "line 6: device rtd: 'scale' is repeated here after line 5"),
         ('T1: 0', '"": 0', 'line 8: device rtd: sensors: expected a printable name but found'),
         (
             'T1: 0',

@@ -74,7 +74,7 @@ def test_the_model_is_named_with_its_domain_and_what_it_left(view):
     told = {'name': 'lag_ridge', 'valid': True, 'in_domain': True, 'held_out': {'Y': 1.62e-6}}
     for change, said in (
         ({}, 'model lag_ridge: in domain; left on unseen runs Y 1.6 µm'),
-        ({'in_domain': False}, 'model lag_ridge: OUTSIDE of what it was trained on; left'),
+        ({'in_domain': False}, 'model lag_ridge: OUTSIDE its training range; left'),
         ({'valid': False, 'why': 'no speed'}, 'model lag_ridge: no speed; left on unseen runs Y'),
         ({'name': '', 'held_out': {}}, 'model none: in domain'),
     ):

@@ -161,8 +161,8 @@ def test_a_band_that_holds_far_less_than_it_promises_is_said_first_and_ends_with
     assert first.startswith(
         f'bad: the band of two standard deviations holds {100.0 * covered:.0f} % of dz'
     )
-    assert 'it promises 95 %, and chance does not explain so little of dz' in first
-    assert outcome.out.count('it promises 95 %') == 1
+    assert 'it should cover 95 %, and chance does not explain so little of dz' in first
+    assert outcome.out.count('it should cover 95 %') == 1
     judged = Path('e.html').read_text().split('<li')
     assert 'class="warning">bad: the band of two standard deviations holds' in judged[1]
 

@@ -105,7 +105,7 @@ def test_what_cannot_be_kept_is_said_in_a_sentence_and_by_the_code(fuzzycnc, par
         'advise', part, '--tolerance', '0.01um', '--corners', 'none', '--json', 'a.json'
     )
     assert outcome.code == 1
-    assert '! nothing that was tried keeps 0.01 µm; the least error' in outcome.out
+    assert '! no remedy tried keeps 0.01 µm; the least error' in outcome.out
     found = json.loads(Path('a.json').read_text())
     errors = [one['simulated']['error'] for one in found['remedies']]
     assert errors[found['best']] == min(errors)

@@ -119,7 +119,7 @@ def test_what_cannot_be_compared_is_refused_in_a_line(tmp_path, capsys, root):
     assert run(['sensors', 'check', str(path)]) == 2
     assert ' --' not in capsys.readouterr().err.replace('`fuzzycnc import-csv --', '')
     assert run(['sensors', 'check', str(root / 'bags' / 'mill_warm_up')]) == 2
-    assert 'in which the spindle stands' in capsys.readouterr().err
+    assert 'with the spindle at rest' in capsys.readouterr().err
 
 
 def test_devices_are_read_for_a_while_and_the_whole_offset_is_told(

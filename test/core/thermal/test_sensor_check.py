@@ -69,7 +69,7 @@ def test_a_machine_that_is_plainly_not_at_rest_is_refused(readings, text):
 def test_a_spindle_that_turned_leaves_the_time_before_it_out():
     time, temperature = night()
     speed = np.where(time < 7.9 * 3600.0, 100.0, 0.0)
-    with pytest.raises(NotAtRestError, match='in which the spindle stands, as it has for 2 h'):
+    with pytest.raises(NotAtRestError, match='with the spindle at rest, as it has been for 2 h'):
         check_at_rest(time, temperature, SENSORS, speed)
     speed = np.where(time < 3.0 * 3600.0, 100.0, 0.0)
     found = check_at_rest(time, temperature, SENSORS, speed)

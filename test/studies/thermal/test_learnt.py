@@ -117,8 +117,8 @@ def test_a_band_that_holds_too_little_is_named_first(found):
     narrow = replace(found[1], deviation=found[1].deviation * [0.01, 1.0])
     (line,) = learnt.narrow_bands([narrow])
     assert line.warning
-    assert f'{narrow.run}: the band of what was learnt holds' in line.text
-    assert ' % of Y; it promises 95 %' in line.text
+    assert f'{narrow.run}: the learnt band covers' in line.text
+    assert ' % of Y; it should cover 95 %' in line.text
     assert learnt.learnt_page([narrow], {}).sections[0].remarks[0] == line.text
 
 

@@ -438,7 +438,7 @@ class Interpreter:
         if 40 in codes:
             wait = dwell(line, self._line, state)
             if wait is None:
-                self._say('a wait whose time the program does not tell')
+                self._say('a wait whose time the program does not state')
                 return Role.SEALED, None
             return Role.PLAIN, wait
         if modal.CALLS & set(codes) or (ms and _CALL_M & set(ms)) or self._called(line):
@@ -620,7 +620,7 @@ def _names(line: Line, letter: str) -> bool:
     return any(word.letter == letter for word in line.words)
 
 
-_LOST = 'where the tool stands is unknown until all axes are named'
+_LOST = 'the position of the tool is unknown until all axes are named'
 
 
 def _axes(line: Line) -> bool:
@@ -728,7 +728,7 @@ class _GWords:
         elif code in modal.TOOL_LENGTHS or (code == 490 and state.tool_length):
             state.tool_length = code != 490
             state.lose('Z')
-            self._say('change of the tool length: where Z stands is unknown until it is named')
+            self._say('change of the tool length: the position of Z is unknown until it is named')
         elif code in modal.CUTTER:
             state.cutter = True
             self._say(f'cutter compensation (G{code / 10:g}): the path is the programmed one')
