@@ -192,7 +192,7 @@ def with_files(
         Parameters that nobody asked for.
     """
     from fuzzycnc_ros.registry import COMPONENTS
-    from fuzzycnc_ros.runtime.host import HostConfig, RecorderConfig
+    from fuzzycnc_ros.ros.node_config import HostConfig, RecorderConfig
 
     component = COMPONENTS.get(spec.name)
     records = (RecorderConfig,) if component is None else (HostConfig, component.CONFIG)
