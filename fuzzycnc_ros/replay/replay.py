@@ -28,6 +28,8 @@ from fuzzycnc_ros.bags.recording_loss import publishers
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.bags.storage import RawMessage
 from fuzzycnc_ros.bags.typestore import ROSBAGS, deserialize
+from fuzzycnc_ros.components.thermal.temperature_acquisition import TemperatureAcquisition
+from fuzzycnc_ros.components.thermal.thermal_predictor import ThermalPredictor
 from fuzzycnc_ros.core.config import Config
 from fuzzycnc_ros.registry import COMPONENTS
 from fuzzycnc_ros.replay.origins import REPLAYABLE, Origins
@@ -392,9 +394,11 @@ class _BagMessages:
             )
 
     def _early(self, name: str) -> bool:
-        """Return whether a node has told something that nothing in the bag can have caused."""
+        """Return whether a node was active, or told what nothing in the bag can have caused."""
         space, _, node = name.rpartition('/')
         kind = COMPONENTS[node]
+        if kind.MANAGED and self.nodes[name][0].lifecycle_state == 'active':
+            return True
         began = self.driven_from(space, kind)
         by_itself = kind.next_deadline is not Component.next_deadline
         told = [
@@ -402,10 +406,11 @@ class _BagMessages:
             for topic, item in ((f'{space}/{item.name}', item) for item in kind.OUTPUTS)
             if self.raw.get(topic) and (item.persistent or not by_itself)
         ]
-        if began is None or not any(stamp < began for stamp in told):
-            return False
         events = self.records(f'{space}/node_event', NodeEvent)
         asked = {event.stamp for event in events if event.node == node}
+        if began is None:  # nothing drove it, so that only a request can have
+            driven = any(item.driving for item in kind.INPUTS)
+            return driven and any(stamp < min(asked, default=inf) for stamp in told)
         return any(stamp < began and stamp not in asked for stamp in told)
 
     def driven_from(self, space: str, kind: type[Component]) -> int | None:
@@ -497,9 +502,19 @@ class _BagMessages:
         after = [stamp for _, _, stamp, _ in messages if stamp > last]
         if len(after) > len(messages) // 2:
             return f'{began}; equal from {after[0] / SECOND:.3f} s on, {len(after)} messages'
+        if nodes == [TemperatureAcquisition.NAME]:
+            # Its verdict on a sensor follows from hours of readings; the reference alone is kept.
+            return f'{began}, and nothing in it holds that state'
+        if nodes == [ThermalPredictor.NAME] and self._learns(space):
+            return f'{began}, and what is latched of its learning does not hold all of it'
         if any(o.persistent for node in nodes for o in COMPONENTS[node].OUTPUTS):
             return ''
         return f'{began}, and nothing in it holds that state'
+
+    def _learns(self, space: str) -> bool:
+        """Return whether the predictor of a machine learns from probes."""
+        topic = f'{space}/thermal_posterior'
+        return topic in self._heads or topic in self._counts
 
     def arithmetic(self, nodes: Iterable[str]) -> str | None:
         """Say how what some nodes computed with differs from here; None where one is unknown."""

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags of all scenarios replay identical, and are the same anew, on any processor."""
 
-import json
 from pathlib import Path
 
 import processors
@@ -10,9 +9,8 @@ import pytest
 import recorded_scenarios
 from kept import kept
 from processors import OLDEST, SETTINGS, result_under
-from recorded_scenarios import FORMS, SCENARIOS, record, replayed
+from recorded_scenarios import FORMS, GOLDEN, SCENARIOS, golden_model, record, replayed
 
-from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.cli.demo.contour import PATHS, TOLERANCE
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
@@ -26,17 +24,8 @@ from fuzzycnc_ros.studies.shift.learnt_days import learn_days
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration
 
 SCRIPT = Path(recorded_scenarios.__file__)
-GOLDEN = Path(__file__).parents[2] / 'bags' / 'mill_warm_up'
 
 pytestmark = pytest.mark.replay
-
-
-def golden_model() -> str:
-    """Return the text of the model in a golden bag, which nothing has to train."""
-    with BagReader(GOLDEN) as reader:
-        events = [item.message for item in reader.messages(['/mill/node_event'])]
-    (request,) = (event.request for event in events if event.name == 'use_model')
-    return json.loads(request)['model']
 
 
 @kept

@@ -15,6 +15,7 @@ from benches import predictor_bench
 from fuzzing.campaign import SEEDS, fuzz
 from fuzzing.file_mutations import mutated_bytes
 from hypothesis import given
+from recorded_scenarios import HOUR, PROBED, golden_model
 
 from fuzzycnc_ros.bags.canonical import topic_hashes
 from fuzzycnc_ros.bags.errors import BagError
@@ -41,6 +42,7 @@ from fuzzycnc_ros.runtime.host import NodeEvent
 from fuzzycnc_ros.runtime.provenance import configuration_record
 from fuzzycnc_ros.studies.contour.contouring import run_contouring
 from fuzzycnc_ros.studies.published_bag import PublishedBag
+from fuzzycnc_ros.studies.shift.thermal_shift import run_shift
 from fuzzycnc_ros.studies.soft.pattern import run_patterns
 
 pytestmark = [pytest.mark.replay, pytest.mark.filterwarnings('ignore::RuntimeWarning')]
@@ -376,6 +378,32 @@ def test_an_altered_output_in_the_middle_is_a_difference_all_the_same(thermal, f
     report = replay(bag)
     assert report.differing
     assert rows(report)['thermal_error'].first_difference.startswith('differs')
+
+
+@pytest.mark.slow
+def test_a_part_of_a_learner_is_no_other_result(folder):
+    """What it has learnt, and the verdicts on sensors, are not latched whole."""
+    faults, parameters = (
+        ('T18:jump:900:3', 'T36:stuck:1200'),
+        {**HOUR, 'thermal_predictor': PROBED},
+    )
+    with PublishedBag(folder / 'learner') as sink:
+        run_shift(golden_model(), duties=('T3',), faults=faults, parameters=parameters, sink=sink)
+    bag = parts(Bag.read(folder / 'learner'), folder / 'a', split=645.0, deleted=3)
+    report = replay(bag)
+    assert rows(report)['thermal_error'].recorded > 10
+    assert not rows(report)['thermal_error'].equal
+    assert 'does not hold all of it' in rows(report)['thermal_error'].not_recomputed
+    assert not report.differing
+    assert not report.equivalent
+
+
+@pytest.mark.slow
+def test_a_recorder_that_comes_late_to_a_pattern_has_it_replayed(motion, folder):
+    report = replay(joined(motion[1], 0.37).write(folder / 'joined'))
+    assert 'had been at work when the recording began' in report.notes[0]
+    assert rows(report)['tool_path'].recomputed > 0
+    assert not report.differing
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ from pathlib import Path
 from benches.positioning_run import PositioningError, run_positioning
 
 from fuzzycnc_ros.bags.canonical import combined_hash, topic_hashes
+from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.components.machine.simulated_machine import SimulatedMachineConfig
 from fuzzycnc_ros.components.motion.feedrate_scheduler_config import FeedrateSchedulerConfig
 from fuzzycnc_ros.components.servo.servo_controller_config import ServoControllerConfig
@@ -24,17 +25,26 @@ from fuzzycnc_ros.replay.replay import replay
 from fuzzycnc_ros.runtime.graph import Sink
 from fuzzycnc_ros.studies.contour.contouring import run_contouring
 from fuzzycnc_ros.studies.published_bag import PublishedBag
-from fuzzycnc_ros.studies.shift.learnt_days import learn_days
+from fuzzycnc_ros.studies.shift.axis_days import run_axis_days
 from fuzzycnc_ros.studies.shift.thermal_shift import record_calibration, run_shift
 from fuzzycnc_ros.studies.shift.whole_shift import ShiftSettings, run_whole_shift
 from fuzzycnc_ros.studies.soft.pattern import run_patterns
 
 PATTERNS = ('parallelogram:45:base=0.024:side=0.018', 'calibration:2')
+GOLDEN = Path(__file__).parents[2] / 'bags' / 'mill_warm_up'
 HOUR = {'simulated_machine': {'duty_duration': 3600.0}}
 PROBED = {'learn': True, 'probe_interval_min': 600.0}
 
 Scenario = Callable[[Path, Sink], object]
 """Runs with the models in a folder and tells everything to a sink."""
+
+
+def golden_model() -> str:
+    """Return the text of the model in a golden bag, which nothing has to train."""
+    with BagReader(GOLDEN) as reader:
+        events = [item.message for item in reader.messages(['/mill/node_event'])]
+    (request,) = (event.request for event in events if event.name == 'use_model')
+    return str(json.loads(request)['model'])
 
 
 def _contour(method: str) -> Scenario:
@@ -90,7 +100,8 @@ def _shift(models: Path, sink: Sink) -> object:
 
 
 def _learnt(models: Path, sink: Sink) -> object:
-    return learn_days(('T1',), sink=sink)
+    """Learn from probes alone: offset and slope of each axis and the growth of its screw."""
+    return run_axis_days(('axis_work',), cautious=False, sink=sink)
 
 
 METHODS = ('log_fuzzy', 'fuzzy', 'constant', 'normal_acceleration', 'chord_error')
@@ -104,7 +115,7 @@ SCENARIOS: dict[str, Scenario] = {
     'selection': _selection,
     'shift': _shift,
     'ballscrew': _ballscrew,
-    'learnt': _learnt,
+    'learnt along axes': _learnt,
     **{f'contour {method}': _contour(method) for method in METHODS},
     **{f'positioning {name}': _positioning(name) for name in FOR_USE},
     **{f'thermal {form}': _thermal(form) for form in FORMS},
