@@ -397,7 +397,12 @@ class _BagMessages:
         """Return whether a node was active, or told what nothing in the bag can have caused."""
         space, _, node = name.rpartition('/')
         kind = COMPONENTS[node]
-        if kind.MANAGED and self.nodes[name][0].lifecycle_state == 'active':
+        events = [
+            event for event in self.records(f'{space}/node_event', NodeEvent) if event.node == node
+        ]
+        told_first = self.nodes[name][0].stamp  # at which there may be several, in any order
+        states = {r.lifecycle_state for r in self.nodes[name] if r.stamp == told_first}
+        if kind.MANAGED and states == {'active'} and not any(e.name == 'activate' for e in events):
             return True
         began = self.driven_from(space, kind)
         by_itself = kind.next_deadline is not Component.next_deadline
@@ -406,8 +411,7 @@ class _BagMessages:
             for topic, item in ((f'{space}/{item.name}', item) for item in kind.OUTPUTS)
             if self.raw.get(topic) and (item.persistent or not by_itself)
         ]
-        events = self.records(f'{space}/node_event', NodeEvent)
-        asked = {event.stamp for event in events if event.node == node}
+        asked = {event.stamp for event in events}
         if began is None:  # nothing drove it, so that only a request can have
             driven = any(item.driving for item in kind.INPUTS)
             return driven and any(stamp < min(asked, default=inf) for stamp in told)
