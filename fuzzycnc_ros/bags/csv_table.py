@@ -51,6 +51,11 @@ _MARK = re.compile(r'#+ *(?=\w)')
 _SAMPLE = 20
 """Last lines of a file that tell what stands between columns."""
 
+STEP_MIN = 5e-3
+"""Least time between rows of temperatures [s]: five minutes are 0.0035 days."""
+TIME_MAX = 1e11
+"""Latest time of a row [s], in the year 5138."""
+
 _EMPTY = ('', 'nan', 'na', 'n/a', 'null', 'none', '-')  # how programs write a missing number
 _FEW = 0.1  # share of repeated times from which a clock is too coarse, and no row is doubled
 
@@ -669,5 +674,12 @@ def read_sensor_table(
             raise BagError(f'{path}: expected a column for each sensor beside {time_column!r}')
         times = table.time(time_column, 's')
         start = times.date or 0.0 if times.form else float(table.column(time_column)[0])
+        step = float(np.median(np.diff(times.seconds)))
+        likely = 'days of a spreadsheet' if step < STEP_MIN else 'ms or us since 1970'
+        if not times.form and (step < STEP_MIN or abs(start) > TIME_MAX):
+            raise BagError(
+                f'{path}, column {time_column!r}: expected seconds but found {start:.12g} and '
+                f'steps of {step:.3g}, which look like {likely}; write seconds, or dates as text'
+            )
         values = np.stack([table.column(name) for name in sensors], axis=1)
     return sensors, start + times.seconds, values, times.zone.name if times.zone else ''

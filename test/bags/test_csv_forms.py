@@ -10,8 +10,9 @@ import pytest
 
 from fuzzycnc_ros.bags.csv_import import import_csv
 from fuzzycnc_ros.bags.csv_mapping import CsvMapping
+from fuzzycnc_ros.bags.csv_table import read_sensor_table
 from fuzzycnc_ros.bags.csv_time import known_forms, read_date, strptime_form, zone_of
-from fuzzycnc_ros.bags.errors import CsvError
+from fuzzycnc_ros.bags.errors import BagError, CsvError
 from fuzzycnc_ros.bags.reader import BagReader
 from fuzzycnc_ros.bags.runs import read_run
 from fuzzycnc_ros.studies.page.recorded import recording_facts
@@ -763,3 +764,23 @@ def test_a_sensor_with_a_rate_of_its_own_says_nothing_of_the_pace(tmp_path):
     )
     own = CsvMapping(**mapping, sensor_limits=['b*:rate_max:0.7'])
     assert import_csv(file, tmp_path / 'own', own).doubts == ()
+
+
+@pytest.mark.parametrize(
+    ('first', 'step', 'likely'),
+    [
+        (46000.0, 1.0 / 1440.0, 'days of a spreadsheet'),
+        (1795820676e3, 60e3, 'ms or us since 1970'),
+        (1795820676e6, 60e6, 'ms or us since 1970'),
+        (-600.0, 60.0, ''),
+        (1795820676.0, 60.0, ''),
+    ],
+)
+def test_times_of_a_table_that_is_played_are_seconds(tmp_path, first, step, likely):
+    rows = [f'{first + step * row!r},{20.0 + 0.1 * row}' for row in range(20)]
+    (tmp_path / 'day.csv').write_text('\n'.join(['t,T1', *rows]))
+    if likely:
+        with pytest.raises(BagError, match=f"column 't': expected seconds .* look like {likely}"):
+            read_sensor_table(tmp_path / 'day.csv', 't')
+    else:
+        assert read_sensor_table(tmp_path / 'day.csv', 't')[1][0] == first
