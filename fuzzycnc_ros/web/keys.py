@@ -50,8 +50,10 @@ def read_token(file: Path) -> str:
     _check_secret(file, 'token')
     try:
         text = decoded(file.read_bytes()).strip()
-    except (OSError, ValueError) as error:
+    except OSError as error:
         raise KeyFileError(f'token {file}: expected a readable text but found: {error}') from error
+    except ValueError as error:
+        raise KeyFileError(f'token {file}: {error}') from error
     if len(text) < TOKEN_LEAST or not re.fullmatch(r'[\x21-\x7e]+', text):
         raise KeyFileError(
             f'token {file}: expected at least {TOKEN_LEAST} characters without spaces; delete '
