@@ -67,6 +67,19 @@ def working(observer):
         thread.join()
 
 
+def read_back(offset, status=OffsetStatus.FOLLOWING, reason=''):
+    """Return an offset [m] that a machine reads back."""
+    return CompensationApplied(
+        stamp=SECOND,
+        epoch=1,
+        status=int(status),
+        reason=reason,
+        axis=('Y',),
+        offset=np.array([offset]),
+        at_limit=np.zeros(1, bool),
+    )
+
+
 def applied(observer, offset):
     """Read an offset [m] back ten times a second, as a machine does."""
     publisher = observer.node.create_publisher(
@@ -74,16 +87,7 @@ def applied(observer, offset):
         'compensation_applied',
         publisher_qos(Durability.STREAM),
     )
-    record = CompensationApplied(
-        stamp=SECOND,
-        epoch=1,
-        status=int(OffsetStatus.FOLLOWING),
-        reason='',
-        axis=('Y',),
-        offset=np.array([offset]),
-        at_limit=np.zeros(1, bool),
-    )
-    message = encode(record, RCLPY)
+    message = encode(read_back(offset), RCLPY)
     observer.node.create_timer(0.1, lambda: publisher.publish(message))
 
 
@@ -106,6 +110,14 @@ def warm(observer):
         publisher.publish(encode(record, RCLPY))
 
     observer.node.create_timer(0.1, tell)
+
+
+def test_offsets_of_a_control_that_is_lost_are_not_told_as_in_force():
+    assert operate.offset_line(read_back(-13.7e-6)) == 'offsets in force: Y -13.70 µm'
+    lost = read_back(-13.7e-6, OffsetStatus.REFUSED, 'no answer within 2 s')
+    assert operate.offset_line(lost) == (
+        'offsets read back last: Y -13.70 µm; refused: no answer within 2 s'
+    )
 
 
 def test_a_compensator_is_looked_at_limited_activated_and_put_to_rest(

@@ -102,17 +102,25 @@ def status(machine: MachineName = 'mill', json_file: JsonFile = None) -> None:
     )
     show(table)
     if applied:
-        newest = applied[-1]
-        offsets = ', '.join(
-            f'{axis} {offset / MICRO:+.2f} µm'
-            for axis, offset in zip(newest.axis, newest.offset, strict=True)
-        )
-        say(f'offsets in force: {offsets or "none"}')
+        say(offset_line(applied[-1]))
     for name in nodes:
         for text in monitor.view(machine, name).learning:
             say(f'{name}: {text}')
     keys = ('node', 'state', 'rate', 'latency_ms', 'health', 'trouble')
     write_json(json_file, {'nodes': [dict(zip(keys, row, strict=True)) for row in table.rows]})
+
+
+def offset_line(applied: 'CompensationApplied') -> str:
+    """Return a read-back in words; what was read last may be over where a machine refuses."""
+    from fuzzycnc_ros.core.inputs.offset_input import OffsetStatus
+
+    offsets = ', '.join(
+        f'{axis} {offset / MICRO:+.2f} µm'
+        for axis, offset in zip(applied.axis, applied.offset, strict=True)
+    )
+    if applied.status == OffsetStatus.REFUSED:
+        return f'offsets read back last: {offsets or "none"}; refused: {visible(applied.reason)}'
+    return f'offsets in force: {offsets or "none"}'
 
 
 def activate(node: ManagedNode = 'compensator', machine: MachineName = 'mill') -> None:
