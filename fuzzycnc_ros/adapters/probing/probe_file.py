@@ -113,6 +113,15 @@ class ProbeFields(Fields):
         names = [item.name for item in self.artefacts]
         if len(set(names)) != len(names):
             raise wrong('expected another name for each artefact', 'artefacts')
+        least = self.tip + self.clearance + self.overtravel
+        for item in self.artefacts:
+            if item.kind == 'ring' and item.diameter <= least:
+                raise wrong(
+                    f'{item.name}: expected a bore of over {least:g} mm, in which the tip and its '
+                    f'way fit, but found {item.diameter:g} mm; make clearance or overtravel '
+                    'smaller',
+                    'artefacts',
+                )
         return self
 
     def plan(self) -> ProbePlan:

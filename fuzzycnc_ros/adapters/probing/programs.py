@@ -19,6 +19,9 @@ BEGIN, END = 999_999, 1_000_000
 CODE_OUTPUT, VALUE_OUTPUT = 0, 1
 """Analogue outputs of LinuxCNC that pass code and number to HAL."""
 
+NAME_MAX = 60
+"""Most that is kept of a name in a comment: LinuxCNC takes lines of 255 characters."""
+
 FOLDER = Path(__file__).with_name('programs')
 
 
@@ -113,7 +116,8 @@ def _called(writer: Dialect, before: int, place: Place, touch: Touch) -> str:
 
 def _plain(place: Place) -> str:
     """Return what a place is called, without what ends or begins a comment."""
-    letters = (c if c.isascii() and (c.isalnum() or c in '-_') else ' ' for c in place.name)
+    name = place.name[:NAME_MAX]
+    letters = (c if c.isascii() and (c.isalnum() or c in '-_') else ' ' for c in name)
     return f'{place.axis} OF {"".join(letters)}'.upper()
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from fuzzycnc_ros.adapters.probing.probe_file import read_plan
-from fuzzycnc_ros.adapters.probing.programs import BEGIN, END, write_programs
+from fuzzycnc_ros.adapters.probing.programs import BEGIN, DIALECTS, END, write_programs
 from fuzzycnc_ros.core.probing.plan import PROBED_AXES, ProbePlan
 from fuzzycnc_ros.ros.parameters import ParameterError
 
@@ -219,6 +219,14 @@ SIEMENS = re.compile(
 )
 
 
+@pytest.mark.parametrize('dialect', sorted(DIALECTS))
+def test_no_name_makes_a_line_that_a_control_refuses(tmp_path, dialect):
+    path = tmp_path / 'probe.yaml'
+    path.write_text(FILE.replace('name: left', f'name: {"x" * 1000}'))
+    for text in write_programs(read_plan(path), dialect).values():
+        assert max(map(len, text.splitlines())) < 128
+
+
 @pytest.mark.parametrize(('dialect', 'syntax'), [('fanuc', FANUC), ('siemens', SIEMENS)])
 def test_other_controls_get_programs_of_their_syntax(plan, dialect, syntax):
     for name, text in write_programs(plan, dialect).items():
@@ -257,6 +265,8 @@ def test_other_controls_get_programs_of_their_syntax(plan, dialect, syntax):
         ('name: setter', 'name: left', 'expected another name for each artefact'),
         ('at: [50, -40, -120]', 'at: [50, -40]', 'expected three coordinates'),
         ('box:', 'bix:', "expected the field 'box'"),
+        ('diameter: 50', 'diameter: 2', 'a bore of over 10 mm, in which the tip and its way fit'),
+        ('diameter: 50', 'diameter: 10', 'right: expected a bore of over 10 mm'),
     ],
 )
 def test_a_file_that_would_leave_its_box_is_refused(tmp_path, before, after, text):
