@@ -147,7 +147,10 @@ class LinuxcncTrials:
         """
         config = self._bag.component.configuration
         tried = file_controller(config, self._axis, self._data, name, settings)
-        numbers = trial_numbers(self._own, tried)
+        try:
+            numbers = trial_numbers(self._own, tried)
+        except ValueError as error:  # another one may be tried
+            return AxisFigures(rms=nan, largest=nan, rest=nan, fault=str(error))
         while True:
             self._until_ready()
             self._number += 1

@@ -302,6 +302,9 @@ def test_stability(fuzzycnc, tmp_path):
         assert fuzzycnc('servo', 'stability', *options).code == 0
 
 
+BALLSCREW = ('--machine-file', 'ballscrew')
+
+
 @pytest.mark.parametrize(
     ('arguments', 'naming'),
     [
@@ -353,6 +356,15 @@ def test_stability(fuzzycnc, tmp_path):
         (('tune', '--out', 's.yaml', '--json', 'no/j.json'), ['no/j.json', 'folder']),
         (('tune', '--out', 's.yaml', '--seed', '-1'), ['--seed', '0 or more', '-1']),
         (('tune', '--out', 's.yaml', '--population', '0'), ['--population', '1 or more']),
+        (('tune', '--linuxcnc', 'b', '--out', 's.yaml'), ['--linuxcnc', '--on-machine']),
+        (
+            ('tune', '--on-machine', '--linuxcnc', 'b', *BALLSCREW, '--out', 's.yaml'),
+            ['standard input', 'terminal'],
+        ),
+        (
+            ('tune', '--on-machine', '--linuxcnc', 'here.yaml', *BALLSCREW, '--out', 's.yaml'),
+            ['here.yaml'],
+        ),
         (('stability', '--params', 'damaged.csv'), ['damaged.csv', 'settings']),
         (('stability', '--params', 'here.yaml'), ['here.yaml', "'settings' or 'rules'"]),
         (('stability', '--params', 'oblong.yaml'), ['oblong.yaml', 'rules', '3 rows of length 2']),
