@@ -8,11 +8,12 @@ points through a loop that exists and once by duties; identified; tuned.  What i
 on the true axis at half, nominal and one and a half times its gain, beside the untuned default of
 the same file and the best of 64 trials on the true axis itself.
 
-Seeds below 20 and seed 26 were looked at in development; the others were not.  Prints a row for
-each and what was asked for beside what came out.  Run with
+Seeds below 20, 26, 200 to 227, 500 to 502, 600 to 619 and 659 were looked at in development; the
+others were not.  Prints a row for each and what was asked for beside what came out.  Run with
 `python benchmarks/bench_strangers.py 20 40`; an axis takes two minutes or so.  `--trials 0` leaves
-the trials on the true axis out, `--json FILE` keeps the rows.  `--on-machine` goes on from what is
-written with `servo tune --on-machine`, driven as the node drives an axis.
+the trials on the true axis out, `--identify-only` all controllers; `--json FILE` keeps the rows.
+`--on-machine` goes on from what is written with `servo tune --on-machine`, driven as the node
+drives an axis.
 """
 
 import os
@@ -62,6 +63,10 @@ from fuzzycnc_ros.simulation.servo.axis_tuning import (
 
 GAINS = (0.5, 1.0, 1.5)
 """Factors on the true gain."""
+
+TOLD, PERIODS = 4.0, 0.5
+"""Ends of an interval up to which a dead time counts as told: their ratio, or the upper one in
+periods."""
 
 WAYS = ('duty', 'loop')
 """How an axis is recorded: by duties, or by set points through a loop that exists."""
@@ -157,9 +162,9 @@ def tried(axis: Axis, data: AxisData) -> dict[str, Any]:
     }
 
 
-def judged(piece: tuple[int, str, int, int, int, bool]) -> dict[str, Any]:
+def judged(piece: tuple[int, str, int, int, int, bool, bool]) -> dict[str, Any]:
     """Return the row of an axis: what is told, what is written, what it is worth."""
-    seed, how, generations, population, trials, on_machine = piece
+    seed, how, generations, population, trials, on_machine, identify_only = piece
     warnings.simplefilter('ignore')
     axis = draw(seed)
     truth = axis.truth
@@ -177,7 +182,9 @@ def judged(piece: tuple[int, str, int, int, int, bool]) -> dict[str, Any]:
     )
     found = identify_axis([recording])
     data = replace(found.data, limits=replace(limits, resonance=found.data.limits.resonance))
-    row |= _told(found, truth)
+    row |= _told(found, truth) | {'flexible': truth['resonance_hz'] is not None}
+    if identify_only:
+        return row | {'untuned': inf, 'written': inf, 'best': inf, 'refused': 'not tuned'}
     plain = replace(data, knowledge=replace(data.knowledge, not_fit_for_control=''))
     row['untuned'] = true_error(axis, plain, UNTUNED_CONTROLLER, {})
     row['best'] = best_on_the_axis(axis, plain, trials)
@@ -205,20 +212,24 @@ def _told(found: IdentifiedAxis, truth: dict[str, Any]) -> dict[str, Any]:
     linear = found.linear
     if linear is None:
         return {'mode': 'unknown', 'mode_true': True, 'delay': 'unknown', 'delay_true': True}
-    mode, delay = linear.mode, linear.delay
+    mode, late = linear.mode, linear.late
     resonance = truth['resonance_hz'] or inf
-    # the fastest lag acts as dead time, a slow one as more than that
-    least = truth['dead_time']
-    most = least + truth['force_lag'] + truth['valve_lag']
-    return {
+    # the force of a cylinder lags by its mode
+    lag = truth['valve_lag'] if truth['kind'] == 'hydraulic' else truth['force_lag']
+    delay = truth['dead_time'] + lag
+    told = late.high <= TOLD * late.low or late.high < PERIODS * PERIOD
+    row: dict[str, Any] = {
         'mode': f'{mode.low:.3g}-{mode.high:.3g}' if linear.resonance_known else 'unknown',
         'mode_true': mode.low <= resonance <= mode.high,
-        'mode_width': mode.high / mode.low if linear.resonance_known else inf,
-        'delay': f'{1e3 * delay.low:.2g}-{1e3 * delay.high:.2g}',
-        'delay_true': delay.low <= most and delay.high >= least,
-        'delay_width': delay.high / delay.low if delay.low else inf,
+        'delay': f'{1e3 * late.low:.2g}-{1e3 * late.high:.2g}' if told else 'unknown',
+        'delay_true': late.low <= delay <= late.high,
         'known_to': linear.known_to,
     }
+    if linear.resonance_known:
+        row['mode_width'] = mode.high / mode.low
+    if told and late.low:
+        row['delay_width'] = late.high / late.low
+    return row
 
 
 def row_text(row: dict[str, Any]) -> str:
@@ -256,14 +267,28 @@ def shown(rows: list[dict[str, Any]]) -> None:
             for row in kept
             if isfinite(row['written']) and isfinite(row['best'])
         ]
-        told = sum(row['mode_true'] + row['delay_true'] for row in here)
+        flexible = [row for row in here if row['flexible']]
+        told = sum(row['delay_true'] for row in here), sum(row['mode_true'] for row in here)
+        unknown = (
+            sum(row['delay'] == 'unknown' for row in here),
+            sum(row['mode'] == 'unknown' for row in flexible),
+        )
+        widths = [
+            float(np.median([row[key] for row in here if key in row] or [inf]))
+            for key in ('delay_width', 'mode_width')
+        ]
         print(
             f'{how}: of {len(here)} written {len(kept)}, of these unstable {len(unstable)} (0); '
             f'refused {len(refused)} (3 of 20), of these the untuned default controls '
             f'{len(though)} (0); worse than it by more than 10 % {len(worse)} (0); '
             f'over trials on the true axis x{exp(float(np.mean(both))) if both else inf:.2f} '
-            f'(1.30); intervals '
-            f'that hold the truth {told} of {2 * len(here)} (95 %)'
+            f'(1.30)'
+        )
+        print(
+            f'{how}: intervals of dead time and resonance that hold the truth {told[0]} and '
+            f'{told[1]} of {len(here)} (95 %); unknown {unknown[0]} of {len(here)} and '
+            f'{unknown[1]} of {len(flexible)} that have one (half); ends of the others apart by '
+            f'a factor of {widths[0]:.2f} and {widths[1]:.2f} in the median (2)'
         )
         _shown_tried(how, [row for row in kept if 'tried' in row])
     print(f'{len(seeds)} axes')
@@ -295,10 +320,19 @@ def main() -> int:
     options.add_argument('--jobs', type=int, default=os.cpu_count())
     options.add_argument('--how', choices=WAYS, action='append')
     options.add_argument('--on-machine', action='store_true')
+    options.add_argument('--identify-only', action='store_true', help='without controllers')
     options.add_argument('--json', type=Path)
     asked = options.parse_args()
     pieces = [
-        (seed, how, asked.generations, asked.population, asked.trials, asked.on_machine)
+        (
+            seed,
+            how,
+            asked.generations,
+            asked.population,
+            asked.trials,
+            asked.on_machine,
+            asked.identify_only,
+        )
         for seed in range(asked.first, asked.last)
         for how in asked.how or WAYS
     ]
@@ -313,6 +347,8 @@ def main() -> int:
     shown(rows)
     if asked.json is not None:
         asked.json.write_text(json.dumps(rows, indent=1) + '\n')
+    if asked.identify_only:
+        return 0
     good = [not row['refused'] or not isfinite(row['untuned']) for row in rows]
     stays = [bool(row['refused']) or isfinite(row['written']) for row in rows]
     return 0 if all(good) and all(stays) else 1

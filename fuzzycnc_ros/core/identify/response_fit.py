@@ -36,6 +36,12 @@ _LINES = 8
 _WORTH = 0.7
 """Misfit over that without a mode from which a mode is told [-]."""
 
+_MENDED = 0.4
+"""The same about the mode alone [-]: friction and backlash elsewhere are no matter."""
+
+_NARROW = 0.02
+"""Damping of a mode that is as wide as a line [-]."""
+
 _ROOM = 4.5
 """Growth of the misfit, in units of its expectation, up to which a mode may be there [-]."""
 
@@ -233,9 +239,9 @@ def fit_response(response: FrequencyResponse, gain: float, viscous: float) -> Re
             closest = min(closest, other, key=lambda one: one.cost)
             if other.cost < _WORTH * bend.cost and search.within(other, top):
                 bend = other
-            if other.cost < _WORTH * rigid.cost and other.cost < found.cost:
-                if search.shows(other, top):
-                    found = other
+            worth = other.cost < _WORTH * rigid.cost or search.mends(other, lagging)
+            if worth and other.cost < found.cost and search.shows(other, top):
+                found = other
     model = LinearResponse(**found.values)
     ends = search.intervals(found)
     if not model.mode:
@@ -444,6 +450,19 @@ class _Search:
             if size <= best + 4.0 * max(best / self.free, 1.0):
                 least = min(least, (1.0 - share) * delay)
         return least
+
+    def mends(self, found: _SearchEnd, plain: _SearchEnd) -> bool:
+        """Return True if a mode takes most of the misfit away from the lines about it.
+
+        One that is narrower than a line is fitted to what few lines have by chance.
+        """
+        mode = found.values['mode']
+        if found.values['damping'] < _NARROW:
+            return False
+        near = (self.frequency > 0.7 * mode) & (self.frequency < 1.4 * mode)
+        near = np.concatenate([near, near])
+        before, after = (self._left(end.values)[near] for end in (plain, found))
+        return float((after**2).sum()) < _MENDED * float((before**2).sum())
 
     def within(self, found: _SearchEnd, top: float) -> bool:
         """Return True if a mode lies at one place among the known lines."""
