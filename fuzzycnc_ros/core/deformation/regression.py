@@ -35,11 +35,14 @@ PROCESS_MAX = 1000
 SEARCH_MAX = 150
 """Samples from which the scales of a Gaussian process are found; with 400 it is no better."""
 
-CONTRADICTING = 6.0
-"""Distance from what the others say, in standard deviations, that is an outlier [-].
+CONTRADICTING = 14.0
+"""Negative logarithm of the density, in mm per 50 mm, from which on a sample is an outlier [-].
 
-On the simulated sheet (265 samples, data seeds 100 to 111) the robust deviations alone name 0.2 %
-of honest samples, and of 5 % that were moved by 3 to 10 mm they find 96 %.
+That is 5.5 standard deviations of 0.2 mm and 4.9 of 1 mm: samples that scatter much reach farther
+towards outliers.  On sheets of `benchmarks/soft_choice.py`, 200 samples by order, seeds 2000 to
+2009, it misses 3 of 100 outliers, six standard deviations throughout miss 7.  Of 265 samples of
+the simulated sheet it leaves out one honest one, where those leave out 0.7 (data seeds 4, 5 and
+100 to 104).
 """
 
 FEW = 100
@@ -359,11 +362,11 @@ def gaussian_process(x: Array, s: Array) -> DeformationModel:
 def outlying(x: Array, s: Array) -> NDArray[np.bool_]:
     """Return which samples contradict all others, shape (k,).
 
-    A Gaussian process says of each sample what the others make of it; what lies more than
-    `CONTRADICTING` standard deviations off is left out of the next round, until nothing changes.
-    Two of three measures have to agree: the robust deviation of compensations, that of
-    compensations per load, and what the process expects of the sample, which is right where loads
-    differ much.  Few samples are judged one by one.
+    A Gaussian process predicts each sample from the others; what is less probable than
+    `CONTRADICTING` is left out of the next round, until nothing changes.  The standard deviation
+    is the middle one of three: the robust deviation of compensations, that of compensations per
+    load, and what the process expects of the sample, which is right where loads differ much.  Few
+    samples are judged one by one.
 
     Parameters
     ----------
@@ -379,11 +382,13 @@ def outlying(x: Array, s: Array) -> NDArray[np.bool_]:
         return _outlying_of_few(x, s)
     weight = load(*x[:, [1, 3, 4]].T)
     for _ in range(_ROUNDS):
-        left, deviation = _unexplained(x, s, out)
+        left, expected = _unexplained(x, s, out)
         distance = np.hypot(*left.T)
         by_load = _scaled(distance / weight, out, MEASURED_TO / float(np.median(weight)))
-        scores = [_scaled(distance, out, MEASURED_TO), by_load, _surprise_in(left, deviation)]
-        now = np.median(scores, axis=0) > CONTRADICTING
+        scores = [_scaled(distance, out, MEASURED_TO), by_load, _surprise_in(left, expected)]
+        score = np.maximum(np.median(scores, axis=0), 1e-9)
+        deviation = np.maximum(distance / score, MEASURED_TO)
+        now = 0.5 * score**2 + np.log(2.0 * np.pi * deviation**2) > CONTRADICTING
         if now.mean() > CONTRADICTING_MAX:
             return np.zeros(len(x), bool)
         if (now == out).all():

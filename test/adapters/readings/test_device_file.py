@@ -318,11 +318,7 @@ def test_the_schema_takes_what_is_read_and_refuses_what_is_not(root):
             'scale: true',
             "line 5: device rtd: scale: expected a number but found 'tr",
         ),
-        (
-            'scale: 0.1',
-            'scale: 1\n    scale: 2',
-            "line 6: device rtd: 'scale' is repeated here after line 5",
-        ),
+        ('scale: 0.1', 'scale: 1\n    scale: 2', "line 6: device rtd: 'scale' is repeated here"),
         ('T1: 0', '"": 0', 'line 8: device rtd: sensors: expected a printable name but found'),
         (
             'T1: 0',
