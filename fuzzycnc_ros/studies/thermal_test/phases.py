@@ -160,6 +160,8 @@ def _as_measured(phase: Phase, recording: TestRecording, *, cut: bool) -> list[P
         return [phase]
     known = np.isfinite(recording.speed)
     time, speed = recording.time[known], _rested(recording.speed[known])
+    if not ((time >= phase.start) & (time < phase.end)).any():
+        return [phase]
     turned = bool(speed[time < phase.start].any())
     parts = _rests(time, speed, phase)
     if 1 < len(parts) and (not cut or len(parts) > PARTS_MAX):
@@ -174,12 +176,12 @@ def _as_measured(phase: Phase, recording: TestRecording, *, cut: bool) -> list[P
 
 
 def _rested(speed: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return speeds of which those of a spindle at rest are 0."""
+    """Return speeds of which those of a spindle at rest are 0, and unknown ones stay so."""
     size = np.abs(speed)
-    if not len(size):
+    if not np.isfinite(size).any():
         return speed
-    least = max(SPEED_LEAST, REST_SHARE * float(np.quantile(size, 0.99)))
-    return np.where(size > least, speed, 0.0)
+    least = max(SPEED_LEAST, REST_SHARE * float(np.nanquantile(size, 0.99)))
+    return np.where(size <= least, 0.0, speed)
 
 
 def _with_pauses(
@@ -205,8 +207,6 @@ def _rests(
     What is shorter than `SHORTEST` belongs to what came before, at the start to what follows.
     """
     inside = (time >= phase.start) & (time < phase.end)
-    if not inside.any():
-        return [(phase, kind_of(phase.name) == 'spindle')]
     at, turns = time[inside], speed[inside] != 0.0
     changes = np.flatnonzero(turns[1:] != turns[:-1]) + 1
     starts = [phase.start, *at[changes].tolist()]
@@ -284,12 +284,15 @@ def _marked(marks: Sequence[PhaseMark], last: float) -> tuple[Phase, ...]:
 
 
 def _by_speed(recording: TestRecording, told: NDArray[np.float64]) -> tuple[Phase, ...]:
-    """Return the stretches of one spindle speed, those on the way to it included."""
-    known = np.isfinite(told)
+    """Return the stretches of one spindle speed, those on the way to it included.
+
+    They begin where the speed is first known; stretches in which it is not are phases, too.
+    """
+    first = int(np.argmax(np.isfinite(told)))
     last = float(recording.time[-1])
     merged: list[tuple[float, float, float]] = []
     begin: float | None = None
-    for start, end, speed in _stretches(recording.time[known], _rested(told[known])):
+    for start, end, speed in _stretches(recording.time[first:], _rested(told[first:])):
         begin = start if begin is None else begin
         if end - begin >= SHORTEST:
             if merged and _alike(merged[-1][2], speed):
@@ -306,6 +309,9 @@ def _by_speed(recording: TestRecording, told: NDArray[np.float64]) -> tuple[Phas
         final = place == len(merged) - 1
         stop = last if final else min(end, last)
         if stop <= max(start, 0.0):
+            continue
+        if not isfinite(speed):
+            phases.append(Phase('spindle speed unknown', 'other', max(start, 0.0), stop))
             continue
         turns = not _alike(speed, 0.0)
         kind = 'spindle' if turns else 'cooling' if turned else 'environment'
@@ -332,4 +338,6 @@ def _stretches(
 
 
 def _alike(one: float, other: float) -> bool:
+    if not (isfinite(one) and isfinite(other)):
+        return isfinite(one) == isfinite(other)
     return abs(one - other) <= max(SPEED_LEAST, SPEED_SHARE * max(abs(one), abs(other)))

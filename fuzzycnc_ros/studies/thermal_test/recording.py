@@ -4,6 +4,7 @@
 
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -82,7 +83,7 @@ class TestRecording:
     temperatures : TimeSeries or None
         Temperatures [degC]; NaN where a reading is not good.
     speed : ndarray, shape (n,), or None
-        Spindle speed that was known [rad/s], NaN before the first; None if it never was.
+        Spindle speed [rad/s], NaN where no topic told one; None if none ever did.
     marks : tuple of Mark
         What people marked, in order.
     zone : str
@@ -213,11 +214,30 @@ def read_test(path: str | os.PathLike[str], machine: str | None = None) -> TestR
         if applied_topic
         else None,
         temperatures=_course(start, warm.series()) if warm_topic else None,
-        speed=speeds_at(series.stamp, told),
+        speed=_speeds(series.stamp, told),
         # Each part of a bag begins with the newest events, which so come again.
         marks=tuple(PhaseMark((at - start) / SECOND, *said) for at, *said in sorted(set(marks))),
         zone=zone,
     )
+
+
+def _speeds(
+    stamps: NDArray[np.int64], told: Sequence[tuple[str, int, float]]
+) -> Floats | None:
+    """Return the speed at each stamp (n,), unknown while the newest of every topic is none.
+
+    A predictor goes on with the last speed that it knew; a report must not make one up.
+    """
+    speed = speeds_at(stamps, told)
+    if speed is None:
+        return None
+    known = np.zeros(len(stamps), dtype=bool)
+    for topic in {name for name, _, _ in told}:
+        own = sorted(item[1:] for item in told if item[0] == topic)
+        at, values = np.array([stamp for stamp, _ in own]), np.array([one for _, one in own])
+        row = np.searchsorted(at, stamps, side='right') - 1
+        known |= (row >= 0) & np.isfinite(values[np.maximum(row, 0)])
+    return np.where(known, speed, np.nan)
 
 
 def _found(reader: BagReader, topic: str, type_name: str) -> str:

@@ -343,6 +343,27 @@ def test_noise_of_an_encoder_is_no_turning(marks, tmp_path):
     assert not any('turning' in item.phase.name for item in test.phases)
 
 
+@pytest.mark.parametrize('marks', [(), MARKS])
+def test_a_speed_that_is_told_no_more_is_unknown(marks, tmp_path):
+    def speed(at):
+        return 0.0 if at < 2 * HOUR else 100.0 * np.pi if at < 5 * HOUR else np.nan
+
+    test = judged(write_test(tmp_path / 'test', marks=marks, speed=speed))
+    found = [(i.phase.name, i.phase.kind, i.phase.end) for i in test.phases]
+    if marks:
+        assert found == [
+            ('environment', 'environment', 2 * HOUR),
+            ('spindle 6000', 'spindle', 6 * HOUR),
+            ('cooling', 'cooling', 8 * HOUR),
+        ]
+    else:
+        assert found == [
+            ('spindle at rest', 'environment', 2 * HOUR),
+            ('spindle 3000 rpm', 'spindle', 5 * HOUR),
+            ('spindle speed unknown', 'other', 8 * HOUR),
+        ]
+
+
 def test_a_speed_that_is_known_too_late_is_none(plain):
     recording = read_test(plain)
     unknown = np.full(len(recording.time), np.nan)
