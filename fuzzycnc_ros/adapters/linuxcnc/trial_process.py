@@ -193,7 +193,8 @@ def main():
     memory = hal_memory()
 
     def say(content):
-        print(json.dumps(content), flush=True)
+        sys.stdout.write(json.dumps(content) + '\n')
+        sys.stdout.flush()
 
     try:
         if memory is None:
