@@ -221,9 +221,7 @@ def read_test(path: str | os.PathLike[str], machine: str | None = None) -> TestR
     )
 
 
-def _speeds(
-    stamps: NDArray[np.int64], told: Sequence[tuple[str, int, float]]
-) -> Floats | None:
+def _speeds(stamps: NDArray[np.int64], told: Sequence[tuple[str, int, float]]) -> Floats | None:
     """Return the speed at each stamp (n,), unknown while the newest of every topic is none.
 
     A predictor goes on with the last speed that it knew; a report must not make one up.
