@@ -12,7 +12,6 @@ PRINTS = {
     'cli/progress_lines.py': 'progress',
     'cli/application.py': 'errors',
     'adapters/linuxcnc/feed_process.py': 'lines of a process under the Python of LinuxCNC',
-    'adapters/linuxcnc/trial_process.py': 'the same',
     'ros/run.py': 'errors of nodes',
     'nodes/dashboard.py': 'where the page is, and the token at its first start',
     'nodes/player.py': 'JSON',
