@@ -234,6 +234,7 @@ class PathCompensator:
         self.steps = self.refused = self.limited = 0
         self.largest = 0.0
         self.elsewhere = ''  # why learnt offsets are not for a figure
+        self._whole = ''  # why they are not for all figures together
 
     @property
     def step(self) -> float:
@@ -261,18 +262,25 @@ class PathCompensator:
     def check(self) -> None:
         """Refuse a path of which the model knows nothing at all."""
         if self.elsewhere and self.refused == self.steps:
+            centred = ', and --size as it was then' if _is_design(self.place) else ''
             raise ValueError(
                 f'{self.place}: expected the stitches that {self.model_file} was learnt on but '
-                f'found {self.elsewhere}; give the path that was stitched then, without its '
-                'offsets'
+                f'found {self._whole}; give the path that was stitched then, without its '
+                f'offsets{centred}'
             )
 
     def models(self, runs: Sequence['Array']) -> Sequence['SoftModel']:
         """Return what compensates each run, points of shape (k, 2) [m] each."""
+        import numpy as np
+
         from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets
 
-        own = self.model.of_runs(runs) if isinstance(self.model, StitchOffsets) else None
-        return [self.model] * len(runs) if own is None else own
+        if isinstance(self.model, StitchOffsets):
+            own = self.model.of_runs(runs)
+            if own is not None:
+                return own
+            self._whole = self.model.other_points(np.concatenate(runs))
+        return [self.model] * len(runs)
 
     def compensated(
         self, path: 'StitchPath', lines: Sequence[int], model: 'SoftModel | None' = None
@@ -349,9 +357,11 @@ def shifted_program(source: Path, units: str, job: PathCompensator) -> str:
     with open_program(source) as file:
         program = StitchedProgram(file, job.step, units=units, size=job.material.size)
     offsets = []
-    for figure in program.figures:
+    paths = [figure.path(job.depth, job.step) for figure in program.figures]
+    models = job.models([path.points for path in paths])
+    for figure, path, model in zip(program.figures, paths, models, strict=True):
         lines = np.repeat(figure.lines, figure.steps).tolist()
-        found = job.compensated(figure.path(job.depth, job.step), lines)
+        found = job.compensated(path, lines, model)
         job.runs.append(PlacedRun(found.nominal, found.commanded, found.offset))
         offsets.append(found.offset)
     return ''.join(program.written(offsets))

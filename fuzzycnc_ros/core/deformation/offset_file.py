@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -89,8 +89,10 @@ class StitchOffsets:
             return None
         ends = np.cumsum([len(run) for run in runs])[:-1]
         return [
-            StitchOffsets(self.path_id, self.material, *part)
-            for part in zip(np.split(self.nominal, ends), np.split(self.offset, ends), strict=True)
+            replace(self, nominal=nominal, offset=offset)
+            for nominal, offset in zip(
+                np.split(self.nominal, ends), np.split(self.offset, ends), strict=True
+            )
         ]
 
     def other_points(self, nominal: Array) -> str:
@@ -100,9 +102,10 @@ class StitchOffsets:
         apart = np.hypot(*(nominal - self.nominal).T)
         if not (apart <= SAME_POINT).all():
             at = int(np.nanargmax(apart)) if np.isfinite(apart).any() else 0
+            moved = np.ptp(nominal - self.nominal, axis=0).max() <= SAME_POINT
             return (
                 f'offsets of other points: number {at} lies {1e6 * apart[at]:.0f} µm from '
-                'the one they were learnt at'
+                f'the one they were learnt at{", as all do" if moved else ""}'
             )
         return ''
 

@@ -13,6 +13,7 @@ from fuzzycnc_ros.core.deformation.model import write_model
 from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 from fuzzycnc_ros.core.deformation.offset_file import StitchOffsets, write_offsets
 from fuzzycnc_ros.core.deformation.stitch_path import SheetMaterial, StitchPath
+from fuzzycnc_ros.core.deformation.stitched_program import StitchedProgram
 from fuzzycnc_ros.core.feedrate.gcode.reader import read_program
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
@@ -70,6 +71,23 @@ def test_learnt_offsets_are_taken_for_the_track_that_they_are_of(
     ends = np.array([s.end[:2] for s in read_program((tmp_path / 'out.ngc').read_text()).segments])
     wanted = TRACK.points[1:] + learnt.offset[1:]
     np.testing.assert_allclose(ends[3 : 3 + len(wanted)], wanted, atol=1e-6)
+
+
+def test_offsets_learnt_with_jumps_are_taken_for_all_figures_of_a_program(fuzzycnc, tmp_path):
+    (tmp_path / 'two.ngc').write_text(
+        'G0 X20 Y20\nG1 X50 Y20 F1200\nX50 Y50\nG0 X80 Y20\nG1 X110 Y20\nM30\n'
+    )
+    figures = StitchedProgram((tmp_path / 'two.ngc').read_text().splitlines(True), 3e-3).figures
+    points = np.concatenate([figure.path(6e-3, 3e-3).points for figure in figures])
+    offset = np.full_like(points, 2e-4)
+    text = write_offsets(StitchOffsets('two', 'foam', points, offset, 15e-3))
+    (tmp_path / 'model.json').write_text(text)
+    outcome = fuzzycnc('soft', 'compensate', 'two.ngc', *SHEET, '--out', 'out.ngc')
+    assert outcome.code == 0, outcome.err
+    found = read_program((tmp_path / 'out.ngc').read_text()).segments
+    ends = np.array([segment.end[:2] for segment in found if not segment.rapid])
+    wanted = np.delete(points + offset, [0, len(figures[0].path(6e-3, 3e-3).points)], axis=0)
+    np.testing.assert_allclose(ends, wanted, atol=1e-6)
 
 
 def test_learnt_offsets_are_of_one_thickness(fuzzycnc, tmp_path, learnt, program):

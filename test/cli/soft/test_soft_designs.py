@@ -99,6 +99,30 @@ def test_learnt_offsets_are_taken_for_the_runs_of_a_design(fuzzycnc, tmp_path):
         np.testing.assert_allclose(other[1:], one[1:] + offset[0], atol=1e-9)
 
 
+@pytest.mark.parametrize('ending', ['.dst', '.csv'])
+@pytest.mark.parametrize(
+    ('moved', 'thickness', 'naming'),
+    [
+        (0.0, 20e-3, ['offsets for a sheet of 20 mm, not of 15 mm']),
+        (4e-3, 15e-3, ['lies 4000 µm from the one they were learnt at, as all do']),
+    ],
+)
+def test_learnt_offsets_are_for_the_whole_design_on_one_sheet(
+    refused, tmp_path, ending, moved, thickness, naming
+):
+    runs = stitched(embroidery(tmp_path / 'in.dst'))
+    rows = [f'{x:.4f},{y:.4f},{int(n == 0)}' for r in runs for n, (x, y) in enumerate(1e3 * r)]
+    (tmp_path / 'in.csv').write_text('\n'.join(['x_mm,y_mm,jump', *rows, '']))
+    points = np.add(np.concatenate(runs), [moved, 0.0])
+    learnt = StitchOffsets('leaf', 'foam', points, np.full_like(points, 3e-4), thickness)
+    (tmp_path / 'model.json').write_text(write_offsets(learnt))
+    step = f'{1e3 * np.median(np.hypot(*np.diff(runs[0], axis=0).T)):.3f}mm'
+    options = (f'in{ending}', *SHEET, '--step', step, '--out', f'out{ending}')
+    remedy = ['--size'] if moved and ending == '.dst' else []
+    refused('soft', 'compensate', *options, naming=[f'in{ending}', *naming, *remedy])
+    assert not (tmp_path / f'out{ending}').exists()
+
+
 def test_a_drawing_becomes_a_program_for_a_longarm(fuzzycnc, tmp_path, model):
     corners = 1e3 * FoamTrack.parallelogram(np.radians(45.0)).points[[0, 23, 40, 63]]
     points = ' '.join(f'{x:.3f},{100 - y:.3f}' for x, y in corners)
