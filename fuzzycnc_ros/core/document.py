@@ -21,6 +21,18 @@ NUMBER_LIMIT = 1e300
 """Largest number of any document: what is computed of it would not be finite."""
 
 
+THERMAL = 'fuzzycnc/thermal-model'
+DEFORMATION = 'fuzzycnc/deformation-model'
+OFFSETS = 'fuzzycnc stitch offsets'
+
+KINDS = {
+    THERMAL: 'a thermal model',
+    DEFORMATION: 'a model of soft material',
+    OFFSETS: 'learnt offsets of one track',
+}
+"""Kinds of documents, by what they say at their top."""
+
+
 class Node:
     """A value of the document and where it stands."""
 
@@ -40,6 +52,17 @@ class Node:
         if not isinstance(self.value, dict) or key not in self.value:
             self.refuse(f'an object with {key!r}')
         return Node(self.value[key], f'{self.where}, {key}', self.depth + 1)
+
+    def check_kind(self, key: str, wanted: str) -> None:
+        """Refuse a document whose member says another kind than the wanted one."""
+        if isinstance(self.value, dict):
+            for kind in map(self.value.get, ('schema', 'format')):
+                if isinstance(kind, str) and kind in KINDS and kind != wanted:
+                    raise ModelFileError(
+                        f'{self.where}: expected {KINDS[wanted]}, but found {KINDS[kind]}'
+                    )
+        if self.get(key).text() != wanted:
+            self.get(key).refuse(f'the {key} {wanted!r}')
 
     def items(self) -> dict[str, 'Node']:
         """Return the members of an object."""

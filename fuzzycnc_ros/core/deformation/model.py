@@ -26,7 +26,7 @@ from fuzzycnc_ros.core.deformation.features import (
     half_turns,
     load,
 )
-from fuzzycnc_ros.core.document import Node, parse_document
+from fuzzycnc_ros.core.document import DEFORMATION, Node, parse_document
 from fuzzycnc_ros.core.fuzzy.takagi_sugeno import normalised_firing
 
 
@@ -509,9 +509,6 @@ def _chunks(count: int) -> Iterator[slice]:
     return (slice(begin, begin + _CHUNK) for begin in range(0, count, _CHUNK))
 
 
-_SCHEMA = 'fuzzycnc/deformation-model'
-"""Schema name at the top of a model file."""
-
 _SCHEMA_VERSIONS = (1, 2)
 """Versions of the layout; 2 has rules whose fitness is not normalised, those of a process."""
 
@@ -525,7 +522,7 @@ def write_model(model: DeformationModel) -> str:
     rules = network.antecedent
     names = FEATURE_SETS[model.features].names
     document = {
-        'schema': _SCHEMA,
+        'schema': DEFORMATION,
         'schema_version': 1 if network.normalised else 2,
         'units': {'direction': 'deg', 'length': 'mm', 'compensation': 'mm per 50 mm'},
         'features': model.features,
@@ -567,8 +564,7 @@ def model_of(text: str, root: Node) -> DeformationModel:
     """Return the model of a document and its parsed content; errors as `read_model`."""
     if len(text) > MODEL_SIZE_MAX:
         root.refuse(f'at most {MODEL_SIZE_MAX} characters')
-    if root.get('schema').text() != _SCHEMA:
-        root.get('schema').refuse(f'the schema {_SCHEMA!r}')
+    root.check_kind('schema', DEFORMATION)
     version = root.get('schema_version')
     if type(version.value) is not int or version.value not in _SCHEMA_VERSIONS:
         known = ' or '.join(map(str, _SCHEMA_VERSIONS))

@@ -11,10 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.document import Node, parse_document
-
-FORMAT = 'fuzzycnc stitch offsets'
-"""Format name at the top of the file."""
+from fuzzycnc_ros.core.document import OFFSETS, Node, parse_document
 
 VERSION = 1
 """Version of the layout."""
@@ -25,8 +22,9 @@ OFFSETS_SIZE_MAX = 64 * 1024 * 1024
 SHEET_MAX = 100.0
 """Largest coordinate, and largest offset, of a stitch [m]: no sheet is larger."""
 
-SAME_POINT = 1e-6
-"""Nominal points, and thicknesses, that differ by no more are the same [m]."""
+SAME_POINT = 1.5e-6
+"""Nominal points, and thicknesses, that differ by no more are the same [m]: a commanded point and
+its offset, both rounded to 1 µm along X and Y, are off by 1.4 µm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +111,7 @@ class StitchOffsets:
 def write_offsets(offsets: StitchOffsets) -> str:
     """Return offsets as a JSON document; equal offsets give equal text."""
     document = {
-        'format': FORMAT,
+        'format': OFFSETS,
         'version': VERSION,
         'path_id': offsets.path_id,
         'material': offsets.material,
@@ -138,8 +136,7 @@ def read_offsets(text: str) -> StitchOffsets:
 
 def offsets_of(root: Node) -> StitchOffsets:
     """Return the offsets of a parsed document; errors as `read_offsets`."""
-    if root.get('format').text() != FORMAT:
-        root.get('format').refuse(f'the format {FORMAT!r}')
+    root.check_kind('format', OFFSETS)
     version = root.get('version')
     if type(version.value) is not int or version.value != VERSION:
         version.refuse(f'version {VERSION}; learn the offsets anew')

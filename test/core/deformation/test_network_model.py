@@ -135,7 +135,7 @@ def changed(document, path, value):
 @pytest.mark.parametrize(
     ('path', 'value', 'message'),
     [
-        (('schema',), 'fuzzycnc/thermal-model', 'expected the schema'),
+        (('schema',), 'fuzzycnc/thermal-model', 'but found a thermal model'),
         (('schema_version',), 3, 'expected schema version 1 or 2'),
         (('schema_version',), 2, 'expected none in version 2'),
         (('features',), 'all', 'expected one of load'),

@@ -8,12 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fuzzycnc_ros.core.deformation.model import read_model
 from fuzzycnc_ros.core.deformation.offset_file import (
     StitchOffsets,
     read_offsets,
     write_offsets,
 )
-from fuzzycnc_ros.core.document import ModelFileError
+from fuzzycnc_ros.core.deformation.soft_model import read_soft_model
+from fuzzycnc_ros.core.document import DEFORMATION, KINDS, THERMAL, ModelFileError
+from fuzzycnc_ros.core.document import OFFSETS as OFFSETS_FILE
+from fuzzycnc_ros.core.thermal.model import ThermalModel
 
 NOMINAL = np.array([[0.0, 0.0], [3e-3, 0.0], [6e-3, 1e-3]])
 OFFSETS = StitchOffsets('square', 'foam', NOMINAL, 0.1 * NOMINAL, 15e-3)
@@ -65,8 +69,32 @@ def test_text_that_is_no_document_is_refused(text, message):
         read_offsets(text)
 
 
+@pytest.mark.parametrize(
+    ('kind', 'name'),
+    [
+        ({'schema': THERMAL}, 'a thermal model'),
+        ({'schema': DEFORMATION}, 'a model of soft material'),
+        ({'format': OFFSETS_FILE}, 'learnt offsets of one track'),
+    ],
+)
+def test_a_file_of_another_kind_is_named(kind, name):
+    readers = {
+        THERMAL: ThermalModel.from_json,
+        DEFORMATION: read_model,
+        OFFSETS_FILE: read_offsets,
+    }
+    for wanted, read in readers.items():
+        if wanted not in kind.values():
+            message = f'expected {KINDS[wanted]}, but found {name}'
+            with pytest.raises(ModelFileError, match=message):
+                read(json.dumps(kind))
+    if kind == {'schema': THERMAL}:
+        with pytest.raises(ModelFileError, match='found a thermal model'):
+            read_soft_model(json.dumps(kind))
+
+
 def test_offsets_are_for_one_track_on_one_material():
-    assert OFFSETS.mismatch('square', 'foam', 15e-3 + 1e-7, NOMINAL + 0.7e-6) == ''
+    assert OFFSETS.mismatch('square', 'foam', 15e-3 + 1e-7, NOMINAL + 1.0e-6) == ''
     assert "pattern 'square', not of 'circle'" in OFFSETS.mismatch(
         'circle', 'foam', 15e-3, NOMINAL
     )
