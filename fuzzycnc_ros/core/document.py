@@ -21,14 +21,14 @@ NUMBER_LIMIT = 1e300
 """Largest number of any document: what is computed of it would not be finite."""
 
 
-THERMAL = 'fuzzycnc/thermal-model'
-DEFORMATION = 'fuzzycnc/deformation-model'
-OFFSETS = 'fuzzycnc stitch offsets'
+THERMAL_MODEL = 'fuzzycnc/thermal-model'
+DEFORMATION_MODEL = 'fuzzycnc/deformation-model'
+TRACK_OFFSETS = 'fuzzycnc stitch offsets'
 
-KINDS = {
-    THERMAL: 'a thermal model',
-    DEFORMATION: 'a model of soft material',
-    OFFSETS: 'learnt offsets of one track',
+DOCUMENT_KINDS = {
+    THERMAL_MODEL: 'a thermal model',
+    DEFORMATION_MODEL: 'a model of soft material',
+    TRACK_OFFSETS: 'learnt offsets of one track',
 }
 """Kinds of documents, by what they say at their top."""
 
@@ -57,9 +57,10 @@ class Node:
         """Refuse a document whose member says another kind than the wanted one."""
         if isinstance(self.value, dict):
             for kind in map(self.value.get, ('schema', 'format')):
-                if isinstance(kind, str) and kind in KINDS and kind != wanted:
+                if isinstance(kind, str) and kind in DOCUMENT_KINDS and kind != wanted:
                     raise ModelFileError(
-                        f'{self.where}: expected {KINDS[wanted]}, but found {KINDS[kind]}'
+                        f'{self.where}: expected {DOCUMENT_KINDS[wanted]}, but found '
+                        f'{DOCUMENT_KINDS[kind]}'
                     )
         if self.get(key).text() != wanted:
             self.get(key).refuse(f'the {key} {wanted!r}')

@@ -255,32 +255,23 @@ def measure(
     )  # fmt: skip
 
 
-def _sheet_runs(path: Path, size: tuple[float, float]) -> 'list[Array]':
-    """Return the runs of a design amid a sheet [m]."""
-    import numpy as np
-
-    from fuzzycnc_ros.studies.soft.design_files import bounds, read_design
-
-    design = read_design(path, None).design
-    low, high = bounds(design)
-    shift = 0.5 * (np.array(size) - low - high)
-    return [design.points[run] + shift for run in design.runs()]
-
-
 def _planned(
     pattern: Path, stitched: Path | None, size: tuple[float, float]
 ) -> 'tuple[list[Array], list[Array]]':
     """Return the runs of a design, and those that were commanded, amid a sheet [m]."""
     import numpy as np
 
-    from fuzzycnc_ros.studies.soft.design_files import bounds, read_design
+    from fuzzycnc_ros.studies.soft.design_files import TABLE, bounds, read_design
 
-    planned = _sheet_runs(pattern, size)
+    one = read_design(pattern, None).design
+    low, high = bounds(one)
+    # A list has its places on the sheet, as `soft compensate` takes them.
+    listed = pattern.suffix.lower() in TABLE
+    shift = np.zeros(2) if listed else 0.5 * (np.array(size) - low - high)
+    planned = [one.points[run] + shift for run in one.runs()]
     if stitched is None:
         return planned, planned
-    one, other = (read_design(path, None).design for path in (pattern, stitched))
-    low, high = bounds(one)
-    shift = 0.5 * (np.array(size) - low - high)
+    other = read_design(stitched, None).design
     runs = [other.points[run] + shift for run in other.runs()]
     counts = [[len(run) for run in side] for side in (planned, runs)]
     if counts[0] != counts[1]:

@@ -26,7 +26,7 @@ from fuzzycnc_ros.core.deformation.features import (
     half_turns,
     load,
 )
-from fuzzycnc_ros.core.document import DEFORMATION, Node, parse_document
+from fuzzycnc_ros.core.document import DEFORMATION_MODEL, Node, parse_document
 from fuzzycnc_ros.core.fuzzy.takagi_sugeno import normalised_firing
 
 
@@ -522,7 +522,7 @@ def write_model(model: DeformationModel) -> str:
     rules = network.antecedent
     names = FEATURE_SETS[model.features].names
     document = {
-        'schema': DEFORMATION,
+        'schema': DEFORMATION_MODEL,
         'schema_version': 1 if network.normalised else 2,
         'units': {'direction': 'deg', 'length': 'mm', 'compensation': 'mm per 50 mm'},
         'features': model.features,
@@ -564,7 +564,7 @@ def model_of(text: str, root: Node) -> DeformationModel:
     """Return the model of a document and its parsed content; errors as `read_model`."""
     if len(text) > MODEL_SIZE_MAX:
         root.refuse(f'at most {MODEL_SIZE_MAX} characters')
-    root.check_kind('schema', DEFORMATION)
+    root.check_kind('schema', DEFORMATION_MODEL)
     version = root.get('schema_version')
     if type(version.value) is not int or version.value not in _SCHEMA_VERSIONS:
         known = ' or '.join(map(str, _SCHEMA_VERSIONS))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fuzzycnc_ros.core.arrays import Array
-from fuzzycnc_ros.core.document import OFFSETS, Node, parse_document
+from fuzzycnc_ros.core.document import TRACK_OFFSETS, Node, parse_document
 
 VERSION = 1
 """Version of the layout."""
@@ -111,7 +111,7 @@ class StitchOffsets:
 def write_offsets(offsets: StitchOffsets) -> str:
     """Return offsets as a JSON document; equal offsets give equal text."""
     document = {
-        'format': OFFSETS,
+        'format': TRACK_OFFSETS,
         'version': VERSION,
         'path_id': offsets.path_id,
         'material': offsets.material,
@@ -136,7 +136,7 @@ def read_offsets(text: str) -> StitchOffsets:
 
 def offsets_of(root: Node) -> StitchOffsets:
     """Return the offsets of a parsed document; errors as `read_offsets`."""
-    root.check_kind('format', OFFSETS)
+    root.check_kind('format', TRACK_OFFSETS)
     version = root.get('version')
     if type(version.value) is not int or version.value != VERSION:
         version.refuse(f'version {VERSION}; learn the offsets anew')

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fuzzycnc_ros.core import portable
 from fuzzycnc_ros.core.arrays import LENGTH_MIN, NUMBER_MAX, Array
-from fuzzycnc_ros.core.document import THERMAL, ModelFileError, Node, parse_document
+from fuzzycnc_ros.core.document import THERMAL_MODEL, ModelFileError, Node, parse_document
 from fuzzycnc_ros.core.encodings import decoded
 from fuzzycnc_ros.core.names import first_names, text_hash
 from fuzzycnc_ros.core.thermal.band import PredictionBand
@@ -653,7 +653,7 @@ def _write_document(model: 'ThermalModel') -> str:
     kept = {name: item for name, item in model.candidates.items() if name not in COMPARED_ONLY}
     left_out = dict.fromkeys(model.candidates.keys() - kept.keys(), NOT_KEPT)
     document = {
-        'schema': THERMAL,
+        'schema': THERMAL_MODEL,
         'schema_version': _SCHEMA_VERSION,
         'units': UNITS,
         'inputs': list(model.inputs),
@@ -718,7 +718,7 @@ def _read_document(text: str) -> dict[str, Any]:
         another type or shape.
     """
     root = parse_document(text, 'model file', SIZE_MAX)
-    root.check_kind('schema', THERMAL)
+    root.check_kind('schema', THERMAL_MODEL)
     version = root.get('schema_version').value
     if type(version) is not int or version not in READABLE_VERSIONS:
         raise ModelFileError(

@@ -29,6 +29,7 @@ from fuzzycnc_ros.core.deformation.stitch_design import (
     StitchLengths,
     stitches_along,
 )
+from fuzzycnc_ros.studies.number_table import read_numbers
 from fuzzycnc_ros.studies.requirement import require
 
 UNIT = 1e-4
@@ -48,7 +49,7 @@ DRAWN = ('.svg', '.dxf')
 """Endings of drawings, which are read and written."""
 
 TABLE, PROGRAM = ('.csv',), ('.ngc', '.nc', '.gcode')
-"""Endings that are only written here; both are read line by line elsewhere."""
+"""Endings of lists of stitches, and of part programs, which are read elsewhere."""
 
 _PROGRAMS_TOO = ('.tap', '.100', '.dat', '.max', '.new', '.10o')
 """Endings that part programs have as well; these are text."""
@@ -136,7 +137,7 @@ def read_design(path: Path, step: float | None, unit: float = 1e-3) -> DesignFil
     Parameters
     ----------
     path : Path
-        Embroidery file, SVG or DXF.
+        Embroidery file, SVG or DXF, or a list of stitches, as a design is written to a .csv.
     step : float, optional
         Stitch step of a drawing [m]; an embroidery file has its own.
     unit : float
@@ -160,7 +161,8 @@ def read_design(path: Path, step: float | None, unit: float = 1e-3) -> DesignFil
     if ending in DRAWN:
         if step is None:
             raise ValueError(
-                f'{path}: expected a stitch step, which a drawing has not, but found none'
+                f'{path}: expected a stitch step, which a drawing has not, but found none; give '
+                'the design as .dst or .csv, which hold the stitches'
             )
         lines, notes = (_svg_lines if ending == '.svg' else _dxf_lines)(path, unit)
         _check_extent(path, np.concatenate([np.zeros((1, 2)), *lines]))
@@ -172,6 +174,15 @@ def read_design(path: Path, step: float | None, unit: float = 1e-3) -> DesignFil
             )
         runs = [run for run in (stitches_along(line, step) for line in lines) if len(run) > 1]
         found = DesignFile(Design.of_runs(runs), None, notes)
+    elif ending in TABLE:
+        table = read_numbers(path, ('x_mm', 'y_mm'), optional=('jump',)).values
+        begins = np.flatnonzero(table[1:, 2:].any(axis=1)) + 1
+        found = DesignFile(Design.of_runs(np.split(1e-3 * table[:, :2], begins)))
+    elif ending not in EMBROIDERY:
+        raise ValueError(
+            f'{path}: expected a design but found {ending or "no ending"}; give the stitches as '
+            '.dst or .csv'
+        )
     else:
         found = _embroidery(path)
     if not (found.design.move == Move.STITCH).any():

@@ -115,9 +115,30 @@ def test_a_compensated_design_is_stitched_off_the_design_it_was_made_of(done, tm
     assert rms[1] < 0.8 * rms[0]
 
 
+@pytest.mark.slow
+def test_a_list_of_stitches_is_measured_learnt_and_compensated(done, tmp_path):
+    """Its places are those on the sheet: it is not centred on it."""
+    rows = [f'{x},30,{int(x == 40)}' for x in range(40, 101, 3)]
+    rows += [f'100,{y},{int(y == 40)}' for y in range(40, 80, 3)]
+    (tmp_path / 'plan.csv').write_text('\n'.join(['x_mm,y_mm,jump', *rows, '']))
+    done('pattern', '--out', 'trial.dst', *MARKS, '--directions', '4')
+    drawn = ('--pattern', 'plan.csv', *MARKS)
+    done('simulate', 'plan.csv', *MARKS, '--pixel', '0.15mm', '--out', 'photo.png')
+    done('measure', 'photo.png', *drawn, '--out', 'm.csv')
+    track = ('--path', 'plan', '--material', 'foam', *SHEET[:2], *SHEET[4:])
+    done('learn', 'm.csv', *track, '--out', 'offsets.json')
+    options = ('--model', 'offsets.json', *SHEET, '--step', '3mm', '--out', 'now.csv')
+    done('compensate', 'plan.csv', *options)
+    said = done('simulate', 'now.csv', *drawn, '--pixel', '0.5mm', '--out', 'now.png')
+    rms = float(said.split('stitches lie ')[1].split(' mm rms off the design')[0])
+    assert rms < 0.5 * off(tmp_path / 'm.csv')
+
+
 def test_what_cannot_be_is_refused(refused, done, tmp_path):
     done('pattern', '--out', 'trial.dst', *MARKS, '--directions', '4')
     (tmp_path / 'photo.jpg').write_bytes(b'no photo')
+    (tmp_path / 'a.svg').write_text(QUILT)
+    (tmp_path / 'a.ngc').write_text('G0 X20 Y20\nG1 X50 F600\n')
     measure = ('measure', 'photo.jpg', '--pattern', 'trial.dst', *MARKS, '--out', 'm.csv')
     for arguments, naming in (
         (('pattern', '--out', 'a.doc'), ['--out a.doc', '.dst']),
@@ -128,8 +149,10 @@ def test_what_cannot_be_is_refused(refused, done, tmp_path):
         (('simulate', 'trial.dst', '--marks', 'no.csv', '--out', 'a.png'), ['no.csv']),
         (measure, ['photo.jpg', 'cannot be read']),
         ((*measure, '--samples', 's.csv'), ['--thickness', '--samples']),
+        (('simulate', 'a.svg', *MARKS, '--out', 'a.png'), ['a.svg', 'as .dst or .csv']),
+        (('simulate', 'a.ngc', *MARKS, '--out', 'a.png'), ['a.ngc', 'as .dst or .csv']),
     ):
         refused('soft', *arguments, naming=naming)
     assert sorted(path.name for path in tmp_path.iterdir()) == [
-        'marks.csv', 'photo.jpg', 'trial.dst',
+        'a.ngc', 'a.svg', 'marks.csv', 'photo.jpg', 'trial.dst',
     ]  # fmt: skip

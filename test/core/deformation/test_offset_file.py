@@ -15,8 +15,13 @@ from fuzzycnc_ros.core.deformation.offset_file import (
     write_offsets,
 )
 from fuzzycnc_ros.core.deformation.soft_model import read_soft_model
-from fuzzycnc_ros.core.document import DEFORMATION, KINDS, THERMAL, ModelFileError
-from fuzzycnc_ros.core.document import OFFSETS as OFFSETS_FILE
+from fuzzycnc_ros.core.document import (
+    DEFORMATION_MODEL,
+    DOCUMENT_KINDS,
+    THERMAL_MODEL,
+    TRACK_OFFSETS,
+    ModelFileError,
+)
 from fuzzycnc_ros.core.thermal.model import ThermalModel
 
 NOMINAL = np.array([[0.0, 0.0], [3e-3, 0.0], [6e-3, 1e-3]])
@@ -72,23 +77,23 @@ def test_text_that_is_no_document_is_refused(text, message):
 @pytest.mark.parametrize(
     ('kind', 'name'),
     [
-        ({'schema': THERMAL}, 'a thermal model'),
-        ({'schema': DEFORMATION}, 'a model of soft material'),
-        ({'format': OFFSETS_FILE}, 'learnt offsets of one track'),
+        ({'schema': THERMAL_MODEL}, 'a thermal model'),
+        ({'schema': DEFORMATION_MODEL}, 'a model of soft material'),
+        ({'format': TRACK_OFFSETS}, 'learnt offsets of one track'),
     ],
 )
 def test_a_file_of_another_kind_is_named(kind, name):
     readers = {
-        THERMAL: ThermalModel.from_json,
-        DEFORMATION: read_model,
-        OFFSETS_FILE: read_offsets,
+        THERMAL_MODEL: ThermalModel.from_json,
+        DEFORMATION_MODEL: read_model,
+        TRACK_OFFSETS: read_offsets,
     }
     for wanted, read in readers.items():
         if wanted not in kind.values():
-            message = f'expected {KINDS[wanted]}, but found {name}'
+            message = f'expected {DOCUMENT_KINDS[wanted]}, but found {name}'
             with pytest.raises(ModelFileError, match=message):
                 read(json.dumps(kind))
-    if kind == {'schema': THERMAL}:
+    if kind == {'schema': THERMAL_MODEL}:
         with pytest.raises(ModelFileError, match='found a thermal model'):
             read_soft_model(json.dumps(kind))
 

@@ -164,8 +164,8 @@ def test_lines_of_dxf_that_meet_are_one_run(tmp_path, units, length):
     assert found.notes == ['left out: 1 TEXT entities']
 
 
-@pytest.mark.parametrize('ending', ['.svg', '.dxf'])
-def test_drawings_are_written_as_they_are_read(tmp_path, ending):
+@pytest.mark.parametrize('ending', ['.svg', '.dxf', '.csv'])
+def test_drawings_and_lists_are_written_as_they_are_read(tmp_path, ending):
     path = embroidery(tmp_path / 'leaf.dst')
     out = tmp_path / f'out{ending}'
     out.write_bytes(rewritten(path, out))
