@@ -342,6 +342,8 @@ class PathCompensator:
             lines.append(
                 f'note: {model} is for one figure alone; for the others it has {self.elsewhere}'
             )
+        if getattr(self.model, 'thickness', 0.0) is None:
+            lines.append(f'note: {model} does not say for what thickness; learn the offsets anew')
         if not self.largest and not (self.refused and getattr(self.model, 'corrects', True)):
             lines.append(f'note: {model} holds no correction; the path is as it was')
         return lines

@@ -66,15 +66,25 @@ class SheetMaterial:
                 f'{1e3 * self.thickness:g} mm but found {1e3 * path.depth[step]:g} mm in step '
                 f'{step}: the foot would go through the sheet'
             )
+        self.check_points(path.points)
+
+    def check_points(self, points: Array, slack: float = 0.0) -> None:
+        """Refuse points, shape (k, 2) [m], that lie outside by more than a slack [m].
+
+        Raises
+        ------
+        ValueError
+            If one does; where the size is not known, none does.
+        """
         if self.size is None:
             return
-        outside = ((path.points < 0.0) | (path.points > self.size)).any(axis=1)
+        outside = ((points < -slack) | (points > np.add(self.size, slack))).any(axis=1)
         if outside.any():
             index = int(outside.argmax())
             raise ValueError(
                 f'points: expected all within the clamped area of {1e3 * self.size[0]:g} x '
                 f'{1e3 * self.size[1]:g} mm but found '
-                f'{(1e3 * path.points[index]).round(3).tolist()} mm at index {index}'
+                f'{(1e3 * points[index]).round(3).tolist()} mm at index {index}'
             )
 
 

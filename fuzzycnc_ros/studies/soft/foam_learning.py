@@ -128,8 +128,8 @@ def learn_track(paths: Sequence[RecordedPath], path_id: str | None, gain: float)
     Raises
     ------
     ValueError
-        If there is no such track, or the runs are not of one cycle of one track on one material,
-        or one is there twice.
+        If there is no such track, it does not lie on the sheet, or the runs are not of one cycle
+        of one track on one material, or one is there twice.
     """
     known = sorted({path.path_id for path in paths})
     if path_id is not None and path_id not in known:
@@ -144,6 +144,10 @@ def learn_track(paths: Sequence[RecordedPath], path_id: str | None, gain: float)
     runs = [path for path in paths if path_id is None or path.path_id == path_id]
     first = runs[0]
     sheet = first.material
+    try:
+        sheet.check_points(first.nominal, SAME_POINT)
+    except ValueError as error:
+        raise ValueError(f'{first.source}: {error}') from error
     track = StitchOffsets(first.path_id, sheet.name, first.nominal, first.offset, sheet.thickness)
     for run in runs[1:]:
         _check_same(track, first, run)
@@ -265,8 +269,13 @@ def fit_gains(model: DeformationModel, samples: Samples) -> GainFit:
     Raises
     ------
     ValueError
-        If the model is for none of the samples.
+        If the model holds no correction, or is for none of the samples.
     """
+    if not model.corrects:
+        raise ValueError(
+            'expected a model with gains to fit but found one that holds no correction; train it '
+            'anew'
+        )
     # The foot of a compensated side goes a few degrees beside the direction of the pattern.  It
     # is cut in its half of the full turn, so that the sign of its compensation stays.
     cut = model.clip(samples.x)

@@ -10,8 +10,9 @@ import pytest
 from foam_bags import Run, sample_run, write_bag
 
 from fuzzycnc_ros.cli.soft.command import COMMANDS
-from fuzzycnc_ros.core.deformation.model import read_model
+from fuzzycnc_ros.core.deformation.model import read_model, write_model
 from fuzzycnc_ros.core.deformation.offset_file import read_offsets
+from fuzzycnc_ros.core.deformation.regression import no_correction
 from fuzzycnc_ros.runtime.enums import PrimitiveKind
 from fuzzycnc_ros.simulation.soft.foam_samples import foam_samples
 from fuzzycnc_ros.simulation.soft.foam_sheet import FoamSheet
@@ -38,7 +39,6 @@ def samples():
 
 @pytest.fixture
 def model(fuzzycnc, tmp_path, samples):
-    from fuzzycnc_ros.core.deformation.model import write_model
     from fuzzycnc_ros.core.deformation.network import TSFuzzyNetwork
 
     text = write_model(TSFuzzyNetwork(ridge=0.03).fit(*samples).model_)
@@ -535,3 +535,19 @@ def test_adapt_refuses_samples_that_the_model_is_not_for(refused, tmp_path, mode
         'soft', 'train', 's.csv', '--adapt', 'model.json', '--out', 'm.json',
         naming=['model.json', 'found none among 1'],
     )  # fmt: skip
+
+
+def test_adapt_refuses_a_model_that_holds_no_correction(refused, tmp_path, samples):
+    (tmp_path / 'model.json').write_text(write_model(no_correction(*samples)))
+    write_samples(tmp_path / 's.csv', *samples)
+    options = ('s.csv', '--adapt', 'model.json', '--out', 'm.json')
+    refused('soft', 'train', *options, naming=['model.json', 'no correction', 'train it anew'])
+    assert not (tmp_path / 'm.json').exists()
+
+
+def test_a_track_beside_the_sheet_is_not_learnt(refused, tmp_path):
+    write_run(tmp_path / 'run.csv', Run())
+    naming = ['run.csv', 'clamped area of 20 x 20 mm', 'at index 0']
+    options = ('--out', 'o.json', *OF_TABLE[:-1], '20x20mm')
+    refused('soft', 'learn', 'run.csv', *options, naming=naming)
+    assert not (tmp_path / 'o.json').exists()

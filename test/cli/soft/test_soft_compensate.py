@@ -4,6 +4,7 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -88,6 +89,15 @@ def test_offsets_learnt_with_jumps_are_taken_for_all_figures_of_a_program(fuzzyc
     ends = np.array([segment.end[:2] for segment in found if not segment.rapid])
     wanted = np.delete(points + offset, [0, len(figures[0].path(6e-3, 3e-3).points)], axis=0)
     np.testing.assert_allclose(ends, wanted, atol=1e-6)
+
+
+def test_offsets_of_an_unknown_thickness_are_taken_with_a_note(
+    fuzzycnc, tmp_path, learnt, program
+):
+    (tmp_path / 'model.json').write_text(write_offsets(replace(learnt, thickness=None)))
+    outcome = fuzzycnc('soft', 'compensate', 'quilt.ngc', *SHEET, '--out', 'out.ngc')
+    assert outcome.code == 0, outcome.err
+    assert 'model.json does not say for what thickness' in outcome.out
 
 
 def test_learnt_offsets_are_of_one_thickness(fuzzycnc, tmp_path, learnt, program):
