@@ -35,8 +35,9 @@ class Server:
         self.heard.append(kind)
         answer = kind.Response()
         if kind is ChangeState:
-            answer.success = self.state != 'inactive'
-            self.state = 'inactive' if request.transition.label == 'deactivate' else 'active'
+            answer.success = self.state not in ('inactive', 'finalized')
+            if self.state != 'finalized':
+                self.state = 'inactive' if request.transition.label == 'deactivate' else 'active'
         elif kind is GetState:
             answer.current_state.label = self.state
         else:
@@ -75,6 +76,9 @@ def test_a_transition_is_asked_for_once_and_known_by_its_state(serve):
     operator, server = serve({ChangeState: 1, GetState: 1})
     assert operator.transition('compensator', 'deactivate')
     assert server.heard.count(ChangeState) == 1
+    # Somebody else has carried it out meanwhile.
+    assert operator.transition('compensator', 'deactivate')
+    server.state = 'finalized'
     assert not operator.transition('compensator', 'deactivate')
 
 
