@@ -294,7 +294,7 @@ class ModelHistory:
                 assert before is not None
                 self.refuse(
                     Reason.NO_MODEL,
-                    f'the model was trained on samples every {self.model.interval:g} s but they '
+                    f'the model takes samples every {self.model.interval:g} s but they '
                     f'come after {(stamp - before) / SECOND:g} s; set interval of '
                     'temperature_acquisition',
                 )

@@ -251,7 +251,7 @@ def test_samples_at_another_interval_are_refused_with_the_remedy():
     error = bench.records('thermal_error')[-1]
     assert (error.valid, error.reason) == (False, Reason.NO_MODEL)
     text = bench.health()
-    assert 'trained on samples every 60 s but they come after 30 s' in text
+    assert 'takes samples every 60 s but they come after 30 s' in text
     assert 'set interval of temperature_acquisition' in text
     bench.give('temperatures', sample_of(run, 10, later=-29.9))
     assert 'but they come after 0.1 s' in bench.health()
