@@ -37,7 +37,8 @@ return {
   lost: texts('#lost > li'), noData: texts('#no-data').join(), trouble: texts('.trouble').join(),
   legends: Object.fromEntries([...document.querySelectorAll('.keys button')].filter(shown)
     .map((key) => ['.name', '.value'].map((part) => key.querySelector(part).textContent))),
-  rows: Number(document.querySelector('main > section:not([hidden]) .charts')?.dataset.rows ?? 0),
+  ...Object.fromEntries([['rows', 'rows'], ['drawn', 'view']].map(([name, part]) => [
+    name, Number(document.querySelector('main > section:not([hidden]) .charts')?.dataset[part] ?? 0)])),
 };
 """
 """What a person sees, taken at one moment."""

@@ -251,7 +251,7 @@ export class Plots {
       chart.element.dataset.empty = String(!lines.length);
       chart.show(this.#stretch.time, lines, [begin, end]);
     }
-    this.place.dataset.rows = this.#stretch.time.length;
+    Object.assign(this.place.dataset, {rows: this.#stretch.time.length, view: this.#view.sequence});
   }
 
   /** Rest in proportion to the time until what is now drawn can be seen. */

@@ -130,5 +130,5 @@ def test_a_killed_worker_loses_nothing_and_a_deadly_piece_is_found(pools, tmp_pa
 def test_without_other_workers_the_loss_is_said():
     with ProcessPoolExecutor(1, get_context('spawn')) as pool:
         work = InFlight(doubled_or_killed, Crew(only(pool), in_flight=2))
-        with pytest.raises(LostWorkersError, match='give the command again'):
+        with pytest.raises(LostWorkersError, match='repeat the command'):
             list(work.done([(1, ''), (2, 'killed')]))
