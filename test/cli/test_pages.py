@@ -34,7 +34,7 @@ ELSEWHERE = {
     'operate activate  # ': 'the same',
     'operate probe X=3um@': 'needs a predictor that runs: test/cli/live reads such values',
     'servo tune --on-machine': 'needs a machine and a key that is held: test/graph has both',
-    'pareto butterfly': 'takes half a minute: test/studies runs it, and reads its report',
+    'pareto butterfly': 'takes half a minute: test/studies runs it',
     'fleet evaluate shop --dask': 'needs a scheduler of Dask: test/cli/fleet starts one',
 }
 """Beginnings of commands that are not run here, and why."""

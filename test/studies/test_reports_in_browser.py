@@ -46,7 +46,7 @@ COMMANDS = {
         'out.ngc',
     ),
     'advise': ('advise', 'part.ngc', '--tolerance', '20um'),
-    'pareto': ('pareto', 'butterfly'),
+    'pareto': ('pareto', 'part.ngc'),
     'position': ('position', '--to', '-50mm'),
     'servo': ('servo', 'compare', '--moves', '0', '--controllers', 'variable_universe,pid'),
     'stability': ('servo', 'stability'),

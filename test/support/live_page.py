@@ -27,6 +27,7 @@ for (const table of document.querySelectorAll('main table')) {
 const texts = (selector) => [...document.querySelectorAll(selector)]
   .filter(shown).map((element) => element.innerText);
 const [, sequence] = document.querySelector('#link').title.match(/view (\\d+)/) ?? [null, null];
+const charts = document.querySelector('main > section:not([hidden]) .charts')?.dataset;
 return {
   fields, sheets, sequence: sequence && Number(sequence),
   link: document.querySelector('#link').dataset.link,
@@ -37,8 +38,7 @@ return {
   lost: texts('#lost > li'), noData: texts('#no-data').join(), trouble: texts('.trouble').join(),
   legends: Object.fromEntries([...document.querySelectorAll('.keys button')].filter(shown)
     .map((key) => ['.name', '.value'].map((part) => key.querySelector(part).textContent))),
-  ...Object.fromEntries([['rows', 'rows'], ['drawn', 'view']].map(([name, part]) => [
-    name, Number(document.querySelector('main > section:not([hidden]) .charts')?.dataset[part] ?? 0)])),
+  rows: Number(charts?.rows ?? 0), drawn: Number(charts?.view ?? 0),
 };
 """
 """What a person sees, taken at one moment."""
