@@ -12,6 +12,7 @@ import os
 import select
 import subprocess
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,88 @@ def linuxcnc_runs() -> bool:
     return hal_process.hal_memory() is not None
 
 
+class LineProcess:
+    """A process beside LinuxCNC that answers each request, JSON lines both ways.
+
+    Parameters
+    ----------
+    command : sequence of str
+        Interpreter of LinuxCNC's modules, program and arguments.
+    ended : str
+        Text of the error when it is not there any more.
+    **options
+        Further options of `subprocess.Popen`.
+
+    Raises
+    ------
+    LinuxcncError
+        If it does not start, or says why it cannot serve.
+    """
+
+    def __init__(
+        self, command: Sequence[str], *, ended: str = 'LinuxCNC has ended', **options: Any
+    ) -> None:
+        self._pending, self._ended = b'', ended
+        try:
+            self.process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, **options
+            )
+        except OSError as error:
+            raise LinuxcncError(f'interpreter = {command[0]}: {error}') from error
+        try:
+            self._receive(START_TIMEOUT)
+        except LinuxcncError:
+            self.close(ANSWER_TIMEOUT)
+            raise
+
+    def ask(self, request: dict[str, Any], timeout: float) -> dict[str, Any]:
+        """Return the answer to a request.
+
+        Raises
+        ------
+        LinuxcncError
+            If it refuses, does not answer in time [s], or has ended.
+        """
+        stream = self.process.stdin
+        assert stream is not None
+        try:
+            stream.write(json.dumps(request).encode() + b'\n')
+            stream.flush()
+        except (OSError, ValueError):
+            raise LinuxcncError(self._ended) from None
+        return self._receive(timeout)
+
+    def close(self, timeout: float) -> None:
+        """End it; it is killed if that takes longer [s]."""
+        for stream in (self.process.stdin, self.process.stdout):
+            if stream is not None:
+                with contextlib.suppress(OSError):  # it has ended
+                    stream.close()
+        try:
+            self.process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
+    def _receive(self, timeout: float) -> dict[str, Any]:
+        stream = self.process.stdout
+        assert stream is not None
+        end = time.monotonic() + timeout
+        while b'\n' not in self._pending:
+            left = end - time.monotonic()
+            if left <= 0.0 or not select.select([stream], [], [], left)[0]:
+                raise LinuxcncError(f'the process with the HAL pins is silent for {timeout:g} s')
+            block = os.read(stream.fileno(), 65536)
+            if not block:
+                raise LinuxcncError(self._ended)
+            self._pending += block
+        line, _, self._pending = self._pending.partition(b'\n')
+        answer: dict[str, Any] = json.loads(line)
+        if set(answer) == {'error'}:
+            raise LinuxcncError(str(answer['error']))
+        return answer
+
+
 class Linuxcnc(Controller[LinuxcncStatus, ControllerOutput, ServoThreadLimits]):
     """Pins of one bridge in a running LinuxCNC.
 
@@ -66,22 +149,11 @@ class Linuxcnc(Controller[LinuxcncStatus, ControllerOutput, ServoThreadLimits]):
 
     def __init__(self, axes: Names, interpreter: str) -> None:
         self._axes = [axis.lower() for axis in axes]
-        self._pending = b''
         self._tick: Any = None
         self._metre = 1e-3
         self._tick_at = time.monotonic()
         command = [interpreter, '-I', str(Path(hal_process.__file__)), ','.join(axes)]
-        try:
-            self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-            )
-        except OSError as error:
-            raise LinuxcncError(f'interpreter = {interpreter}: {error}') from error
-        try:
-            self._receive(START_TIMEOUT)
-        except LinuxcncError:
-            self.close()
-            raise
+        self._process = LineProcess(command, stderr=subprocess.DEVNULL)
 
     def read(self) -> LinuxcncStatus:
         """Return the present status."""
@@ -121,43 +193,10 @@ class Linuxcnc(Controller[LinuxcncStatus, ControllerOutput, ServoThreadLimits]):
 
     def close(self) -> None:
         """End the process; offsets that stand are left to the watchdog of the HAL file."""
-        for stream in (self._process.stdin, self._process.stdout):
-            if stream is not None:
-                with contextlib.suppress(OSError):
-                    stream.close()
-        try:
-            self._process.wait(ANSWER_TIMEOUT)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        self._process.close(ANSWER_TIMEOUT)
 
     def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
-        stream = self._process.stdin
-        assert stream is not None
-        try:
-            stream.write(json.dumps(request).encode() + b'\n')
-            stream.flush()
-        except (OSError, ValueError):
-            raise LinuxcncError('LinuxCNC has ended') from None
-        return self._receive(ANSWER_TIMEOUT)
-
-    def _receive(self, timeout: float) -> dict[str, Any]:
-        stream = self._process.stdout
-        assert stream is not None
-        end = time.monotonic() + timeout
-        while b'\n' not in self._pending:
-            left = end - time.monotonic()
-            if left <= 0.0 or not select.select([stream], [], [], left)[0]:
-                raise LinuxcncError(f'the process with the HAL pins is silent for {timeout:g} s')
-            block = os.read(stream.fileno(), 65536)
-            if not block:
-                raise LinuxcncError('LinuxCNC has ended')
-            self._pending += block
-        line, _, self._pending = self._pending.partition(b'\n')
-        answer: dict[str, Any] = json.loads(line)
-        if 'error' in answer:
-            raise LinuxcncError(str(answer['error']))
-        return answer
+        return self._process.ask(request, ANSWER_TIMEOUT)
 
     def _status(self, found: dict[str, Any]) -> LinuxcncStatus:
         self._check_time(found['tick'])

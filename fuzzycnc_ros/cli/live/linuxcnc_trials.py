@@ -8,12 +8,8 @@ same, period by period: it says whether a trial may begin, and how well it follo
 
 from __future__ import annotations
 
-import contextlib
 import io
-import json
 import os
-import select
-import subprocess
 import tempfile
 import time
 from collections.abc import Mapping
@@ -25,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from fuzzycnc_ros.adapters.linuxcnc import trial_process
+from fuzzycnc_ros.adapters.linuxcnc.control import LineProcess, LinuxcncError
 from fuzzycnc_ros.adapters.linuxcnc.simulation import PYTHON
 from fuzzycnc_ros.cli.live.held_trials import HeldKey
 from fuzzycnc_ros.components.servo.servo_controller import ServoController
@@ -49,6 +46,8 @@ from fuzzycnc_ros.studies.servo.linuxcnc_bag import AxisBag, axis_config
 
 ANSWER = 5.0
 """Time for an answer of the process beside LinuxCNC [s]."""
+
+ENDED = 'LinuxCNC, or the process beside it, has ended'
 
 RENEWED = 0.03
 """Time between two signs of life [s]."""
@@ -105,14 +104,11 @@ class LinuxcncTrials:
         rows = Path(self._folder.name, 'rows')
         command = [PYTHON, trial_process.__file__, prefix, axis, str(rows)]
         try:
-            self._process = subprocess.Popen(
-                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
-            )
-        except OSError as error:
+            self._process = LineProcess(command, ended=ENDED, start_new_session=True)
+        except LinuxcncError as error:
             self._folder.cleanup()
-            raise ValueError(f'{PYTHON}: {error}') from error
+            raise ValueError(str(error)) from error
         try:
-            self._answer()
             self._rows = rows.open('rb', buffering=0)
             self._check(self._ask('state'), prefix)
             self._start = float(self._ask('manual')['command'])
@@ -389,36 +385,13 @@ class LinuxcncTrials:
         return np.append(place, place[-1] + way), np.append(speed, slower[1:])
 
     def _ask(self, operation: str, **values: Any) -> dict[str, Any]:
-        stream = self._process.stdin
-        assert stream is not None
         try:
-            stream.write(json.dumps({'op': operation, **values}).encode() + b'\n')
-            stream.flush()
-        except OSError:
-            raise ValueError('LinuxCNC, or the process beside it, has ended') from None
-        return self._answer()
-
-    def _answer(self) -> dict[str, Any]:
-        stream = self._process.stdout
-        assert stream is not None
-        if not select.select([stream], [], [], ANSWER)[0]:
-            raise ValueError(f'LinuxCNC: expected an answer within {ANSWER:g} s but found none')
-        line = stream.readline()
-        if not line:
-            raise ValueError('LinuxCNC, or the process beside it, has ended')
-        answer: dict[str, Any] = json.loads(line)
-        if set(answer) == {'error'}:
-            raise ValueError(answer['error'])
-        return answer
+            return self._process.ask({'op': operation, **values}, ANSWER)
+        except LinuxcncError as error:
+            raise ValueError(str(error)) from error
 
     def _end_process(self) -> None:
-        for stream in (self._process.stdin, self._process.stdout, self._rows):
-            if stream is not None:
-                with contextlib.suppress(OSError):  # it has ended
-                    stream.close()
-        try:
-            self._process.wait(ANSWER)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        if self._rows is not None:
+            self._rows.close()
+        self._process.close(ANSWER)
         self._folder.cleanup()

@@ -397,30 +397,31 @@ def friction_by_recording(
     model : AxisModel
         Fitted to all of them.
     """
+    days = [_cut([one], _DAY) for one in recordings]
 
-    def squares(factor: float, one: AxisRecording) -> float:
+    def squares(factor: float, day: Sequence[AxisRecording]) -> float:
         scaled = _rubbing(model, factor)
-        return sum(float((_errors(scaled, part) ** 2).sum()) for part in _cut([one], _DAY))
+        return sum(float((_errors(scaled, part) ** 2).sum()) for part in day)
 
     search: Any = minimize_scalar
     factors = [
         exp(
             search(
-                lambda size, one=one: squares(exp(size), one),
+                lambda size, day=day: squares(exp(size), day),
                 bounds=(-log(_DRIFT), log(_DRIFT)),
                 method='bounded',
                 options={'xatol': 0.01},
             ).x
         )
-        for one in recordings
+        for day in days
     ]
-    later = recordings[1:]
-    count = sum(len(part.command) for one in later for part in _cut([one], _DAY))
+    later = days[1:]
+    count = sum(len(part.command) for day in later for part in day)
     before = zip(factors[:-1], later, strict=True)
     return FrictionByRecording(
         tuple(factors),
-        sqrt(sum(squares(1.0, one) for one in later) / count),
-        sqrt(sum(squares(factor, one) for factor, one in before) / count),
+        sqrt(sum(squares(1.0, day) for day in later) / count),
+        sqrt(sum(squares(factor, day) for factor, day in before) / count),
     )
 
 

@@ -255,6 +255,10 @@ def fit_response(response: FrequencyResponse, gain: float, viscous: float) -> Re
             ends[name] = ends[name].joined(wider[name])
     least = min(ends['delay'].low, search.with_lag(found))
     unseen = 0.0 if model.mode else _SHOWN[-1][1] / (pi * ends['mode'].low)
+    if model.mode:
+        lagging = search.lagging(found)
+    elif bend is not lagging:
+        lagging = search.lagging(bend)
     if model.ratio < 1.0 or not model.mode:
         damping = model.damping if model.mode else _LAGGING
         least = max(least - 2.0 * damping / (2.0 * pi * ends['mode'].low), 0.0)
@@ -270,12 +274,7 @@ def fit_response(response: FrequencyResponse, gain: float, viscous: float) -> Re
         ends['mode'],
         ends.get('damping', nothing),
         ends.get('ratio', nothing),
-        search.late(
-            lagging
-            if bend is lagging and not model.mode
-            else search.lagging(found if model.mode else bend),
-            unseen,
-        ),
+        search.late(lagging, unseen),
         top,
         response.frequency,
         np.asarray(np.abs(measured - 1.0) + 2.0 * response.error * np.abs(measured)),

@@ -136,7 +136,7 @@ def test_growth_and_silence_bring_the_tuned_settings_back_in_the_servo_thread(tm
             unstable = drive('pid', STIFF, CASE, 5e-3)
             assert 'swings' in unstable.fault or 'chatters' in unstable.fault
             assert not drive('pid', SLOW, CASE, 5e-3).fault
-            killed = threading.Timer(0.7, drive._process.kill)
+            killed = threading.Timer(0.7, drive._process.process.kill)
             killed.start()
             with pytest.raises(ValueError, match='has ended'):
                 drive('pid', SLOW, CASE, 5e-3)
